@@ -48,8 +48,8 @@ use crate::server::{Addresses, Device, Reply, Service};
 use crate::services::Services;
 use crate::soc::LINK_1000;
 
-/// Clocks from a request's arrival to its execution, and from there to its answer, the long way. The
-/// image takes some 6000 clocks from the last byte in to the first byte out (`cargo xtask bench
+/// Clocks from a request's arrival to its execution, and from there to its answer, the long way.
+/// The image takes some 6000 clocks from the last byte in to the first byte out (`cargo xtask bench
 /// exchange`), and acts behind two thirds of them.
 pub const ANSWER: [u64; 2] = [4000, 2000];
 /// Clocks between two slices of an operation of the flash: what a slice takes the image, some 256

@@ -1,8 +1,10 @@
 //! Measurements. Each prints its figures and leaves them in `target/reports/NAME.json`.
 
+mod host;
+
 use crate::{build, cargo_tests, faults, python, root, setup, step, target};
 use anyhow::{Context, Result};
-use clap::ValueEnum;
+use clap::{Args, ValueEnum};
 use std::path::Path;
 use std::process::Command;
 
@@ -25,11 +27,32 @@ pub enum What {
     /// A day of the board's time on the twin: counters that drift, or do not come round as they
     /// should (--hours).
     Soak,
+    /// What a servo period costs this PC: the real driver in LinuxCNC's realtime on the twin, in
+    /// turn with a plain C component with the same system calls, bytes and pins (--rounds); 4 and
+    /// 10 kHz.
+    Host,
+}
+
+/// How much of it.
+#[derive(Args)]
+pub struct Options {
+    /// What to measure.
+    #[arg(value_enum)]
+    what: What,
+    /// Loss: how many exchanges.
+    #[arg(long, value_name = "N", default_value_t = 1_000_000)]
+    exchanges: u64,
+    /// Soak: how many hours of the board's time.
+    #[arg(long, value_name = "N", default_value_t = 24)]
+    hours: u64,
+    /// Host: how many rounds of each shape; the order of both drivers changes from one to the next.
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u64).range(2..))]
+    rounds: u64,
 }
 
 /// Measures and prints.
-pub fn run(what: What, exchanges: u64, hours: u64) -> Result<()> {
-    match what {
+pub fn run(options: &Options) -> Result<()> {
+    match options.what {
         What::Exchange => {
             let parts = build::everything(build::driver)?;
             let largest = build::simulated_board(build::LARGEST_BOARD)?;
@@ -42,14 +65,15 @@ pub fn run(what: What, exchanges: u64, hours: u64) -> Result<()> {
             "random_loss",
             "10 min",
             "FERROCNC_EXCHANGES",
-            exchanges,
+            options.exchanges,
         ),
+        What::Host => host::run(options.rounds),
         What::Soak => faults::measure(
             "soak",
             "a_day_passes",
             "40 min",
             "FERROCNC_SOAK_SECONDS",
-            3600 * hours,
+            3600 * options.hours,
         ),
     }
 }

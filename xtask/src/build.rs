@@ -226,8 +226,12 @@ pub fn router() -> Result<PathBuf> {
 
 /// Makes `loadrt ferrocnc` find the driver just built.
 pub fn install_driver() -> Result<()> {
-    let built = target("release/libferrocnc.so");
-    let module = Path::new(MODULES).join("ferrocnc.so");
+    install_module(&target("release/libferrocnc.so"), "ferrocnc")
+}
+
+/// Makes `loadrt NAME` find a module just built.
+pub fn install_module(built: &Path, name: &str) -> Result<()> {
+    let module = Path::new(MODULES).join(format!("{name}.so"));
     let command = format!(
         "cp --remove-destination {} {}",
         built.display(),
@@ -237,20 +241,16 @@ pub fn install_driver() -> Result<()> {
         bail!("{MODULES} does not exist: LinuxCNC is not installed; run `cargo xtask setup`");
     }
     if !setup::is_root() {
-        if std::fs::read(&module).ok() == std::fs::read(&built).ok() {
-            step::note("driver: already installed");
+        if std::fs::read(&module).ok() == std::fs::read(built).ok() {
+            step::note(&format!("{name}: already installed"));
             return Ok(());
         }
         bail!(
-            "installing the driver needs root; run\n\n  sudo {command}\n\nand start this command again"
+            "installing a realtime module needs root; run\n\n  sudo {command}\n\nand start this command again"
         );
     }
     let mut install = Command::new("cp");
-    install.arg("--remove-destination").arg(&built).arg(&module);
-    step::run(
-        "install-driver",
-        "install the driver for loadrt",
-        "1 s",
-        &mut install,
-    )
+    install.arg("--remove-destination").arg(built).arg(&module);
+    let title = format!("install {name} for loadrt");
+    step::run(&format!("install-{name}"), &title, "1 s", &mut install)
 }

@@ -53,17 +53,7 @@ enum Task {
     /// clock.
     Netlist(netlist::Options),
     /// Measure something and print the figures.
-    Bench {
-        /// What to measure.
-        #[arg(value_enum)]
-        what: bench::What,
-        /// Loss: how many exchanges.
-        #[arg(long, value_name = "N", default_value_t = 1_000_000)]
-        exchanges: u64,
-        /// Soak: how many hours of the board's time.
-        #[arg(long, value_name = "N", default_value_t = 24)]
-        hours: u64,
-    },
+    Bench(bench::Options),
     /// Build the documentation site into target/book, after a check of all links.
     Docs,
     /// Write docs/figures.md and the marked places of other pages from docs/figures.json.
@@ -88,11 +78,7 @@ fn main() -> std::process::ExitCode {
         Task::Regen { check } => regen::run(check),
         Task::Bitstream(options) => bitstream::run(&options),
         Task::Netlist(options) => netlist::run(&options),
-        Task::Bench {
-            what,
-            exchanges,
-            hours,
-        } => bench::run(what, exchanges, hours),
+        Task::Bench(options) => bench::run(&options),
         Task::Docs => docs::run(),
         Task::Figures(options) => figures::run(&options),
         Task::Fuzz(options) => fuzz::run(&options),

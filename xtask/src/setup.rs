@@ -59,6 +59,8 @@ pub enum Need {
     Gateware,
     /// Only what compiles libFuzzer.
     Fuzz,
+    /// Only LinuxCNC and what compiles its components.
+    LinuxCnc,
 }
 
 /// Installs and finds; says what it found.
@@ -73,6 +75,11 @@ pub fn run(need: Need) -> Result<()> {
         Need::Fuzz => {
             let compiler: Vec<_> = PACKAGES.iter().filter(|p| p.0 == "g++").copied().collect();
             return debian_packages(&compiler);
+        }
+        Need::LinuxCnc => {
+            let needed = |name: &str| name.starts_with("linuxcnc") || name == "procps";
+            let linuxcnc: Vec<_> = PACKAGES.iter().filter(|p| needed(p.0)).copied().collect();
+            return debian_packages(&linuxcnc);
         }
     }
     python_environment()?;
