@@ -35,6 +35,7 @@ const PACKAGES: &[(&str, &str)] = &[
         "procps",
         "finds LinuxCNC processes that a crash left behind",
     ),
+    ("strace", "counts the driver's system calls for a bench"),
 ];
 
 /// Packages that stand in for `rustup component add rust-src` where rustup's server is out of
@@ -77,7 +78,7 @@ pub fn run(need: Need) -> Result<()> {
             return debian_packages(&compiler);
         }
         Need::LinuxCnc => {
-            let needed = |name: &str| name.starts_with("linuxcnc") || name == "procps";
+            let needed = |name: &str| name.starts_with("linuxcnc") || ["procps", "strace"].contains(&name);
             let linuxcnc: Vec<_> = PACKAGES.iter().filter(|p| needed(p.0)).copied().collect();
             return debian_packages(&linuxcnc);
         }
