@@ -78,7 +78,8 @@ pub fn run(need: Need) -> Result<()> {
             return debian_packages(&compiler);
         }
         Need::LinuxCnc => {
-            let needed = |name: &str| name.starts_with("linuxcnc") || ["procps", "strace"].contains(&name);
+            let needed =
+                |name: &str| name.starts_with("linuxcnc") || ["procps", "strace"].contains(&name);
             let linuxcnc: Vec<_> = PACKAGES.iter().filter(|p| needed(p.0)).copied().collect();
             return debian_packages(&linuxcnc);
         }
