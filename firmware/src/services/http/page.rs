@@ -13,9 +13,9 @@ use wire::describe::{
 use wire::exchange::{STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord, status_word};
 use wire::flash::{LinkWord, Running};
 use wire::map::{self, CONFIG_STEPGEN, CONFIG_STRIDE, StepgenConfig};
-use wire::refusal::{COUNTERS_CALLS, COUNTERS_CUTS};
+use wire::refusal::{COUNTERS_CALLS, COUNTERS_CUTS, COUNTERS_WAYS};
 use wire::regmap::{self, gpio};
-use wire::{FaultReason, GateClose, Refusal, ResetReason, State};
+use wire::{FaultReason, GateClose, LongWay, Refusal, ResetReason, State};
 
 /// Before the sections.
 const HEAD: &[u8] = include_bytes!("head.html");
@@ -120,7 +120,8 @@ impl Part {
             Outputs => channels.outputs.into(),
             Refused => Refusal::COUNT.div_ceil(REFUSALS),
             Log => ENTRIES,
-            Machine | Board | Versions | Counters => 3,
+            Counters => 4,
+            Machine | Board | Versions => 3,
             Link => 2,
         }
     }
@@ -503,6 +504,16 @@ fn counters(n: usize, sheet: &mut Sheet, out: &mut impl Outside) {
             let words = ask([at + 8, COUNTERS_CUTS], out);
             sheet.field("exchanges", "Exchanges", words.map(|[it, _]| it));
             sheet.field("cuts", "Pulses cut off", words.map(|[_, it]| it));
+        }
+        2 => {
+            let at = COUNTERS_WAYS;
+            let words = ask([at, at + 4, at + 8], out);
+            let (fast, long) = (words.map(|[it, ..]| it), words.map(|[_, it, _]| it));
+            sheet.field("fast_way", "Answered by the gateware", fast);
+            sheet.field("long_way", "Answered by the firmware", long);
+            let why = words.and_then(|[.., it]| LongWay::from_code(it));
+            let title = "Why the last one was";
+            sheet.field("long_way_reason", title, text(why.map(LongWay::text)));
         }
         _ => {
             let words = ask([COUNTERS_CALLS, COUNTERS_CALLS + 4], out);

@@ -7,7 +7,10 @@ use proptest::prelude::*;
 use serde_json::Value as Json;
 use wire::describe::{Channels, Describe, DescribeError, JobsState, WORDS};
 use wire::exchange::StateWord;
-use wire::{FaultReason, GateClose, MAX_WORDS, ResetReason, State, map};
+use wire::{FaultReason, GateClose, LongWay, MAX_WORDS, ResetReason, State, map};
+
+/// Why the last exchange took the long way.
+const WHY: u32 = wire::refusal::COUNTERS_WAYS + 8;
 
 /// A board of which every word can be read.
 struct Fake {
@@ -33,6 +36,7 @@ impl Fake {
             map::FLASH_UID_HI => 0xd162_0c8a,
             map::FLASH_RUNNING => 1,
             map::FLASH_IP => 0xc0a8_0232,
+            WHY => LongWay::Timed as u32,
             // 300 and 300 clocks: 100 000 steps/s at 60 MHz.
             map::CONFIG..map::COMMAND => 300,
             address => address,
@@ -291,6 +295,10 @@ fn status_json_says_what_the_machine_is_doing_and_what_to_do() {
             status["refused"].as_object().unwrap().len(),
             wire::Refusal::COUNT
         );
+        let counters = &status["counters"];
+        assert_eq!(counters["fast_way"], wire::refusal::COUNTERS_WAYS);
+        assert_eq!(counters["long_way"], wire::refusal::COUNTERS_WAYS + 4);
+        assert_eq!(counters["long_way_reason"], LongWay::Timed.text());
         assert_eq!(status["log"][0]["text"], "stopped: e-stop input");
         assert_eq!(status["log"][0]["when"], "start 9 +0:01:15");
     }
