@@ -631,7 +631,11 @@ impl BenchMachine {
         for _ in 0..TURNS {
             // A ticket for the guest.
             self.period_with(command, &[], 0)?;
-            worst = worst.max(self.cost_behind(command, after, &frame)?);
+            self.exchange(command);
+            self.rig.run(after);
+            let wire = frame(self);
+            let answer = self.period_with(command, &[wire], 1)?;
+            worst = worst.max(answer.turnaround);
         }
         let mut heard = Vec::new();
         for _ in 0..PIECES {
@@ -642,21 +646,6 @@ impl BenchMachine {
             self.period_with(command, &[], 0);
         }
         Some(worst)
-    }
-
-    /// The time of an exchange that comes so many clocks behind the answer before, with such a
-    /// frame in front of it.
-    pub fn cost_behind(
-        &mut self,
-        command: &mut Command,
-        after: u64,
-        frame: impl Fn(&mut Self) -> Vec<u8>,
-    ) -> Option<u64> {
-        self.exchange(command);
-        self.rig.run(after);
-        let wire = frame(self);
-        let answer = self.period_with(command, &[wire], 1)?;
-        Some(answer.turnaround)
     }
 }
 
