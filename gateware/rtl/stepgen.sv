@@ -102,10 +102,11 @@ module stepgen #(
     // a stop works whether or not time passes
     wire holds = TIMED ? pause | ~(advance | braking) : pause;
 
+    wire fresh_next = take | (halt & ~halted) | (TIMED ? fresh & ~advance & ~braking : 1'b0);
+
     always_ff @(posedge clk) begin
         halted <= halt;
-        fresh  <= take | (halt & ~halted);
-        if (TIMED ? fresh & ~advance & ~braking : 1'b0) fresh <= 1'b1;
+        fresh  <= fresh_next;
         if (halt | (take & ~enable)) braking <= 1'b1;
         else if (take) braking <= 1'b0;
         if (take) begin
@@ -121,16 +122,19 @@ module stepgen #(
     logic [55:0] v = 56'd0;
     logic        up = 1'b1;   // v is below target, by more than a move
     logic        jump = 1'b1; // no limit
+    // v moves down: ~up & ~fresh, in a flip-flop of its own, because the ramp's longest path begins
+    // here.
+    logic        down = 1'b0;
 
-    wire        down    = ~up & ~fresh;
     wire [56:0] move    = {25'd0, braking ? stop_accel : limit} ^ {57{down}};
     wire [56:0] moved   = {v[55], v} + move + {56'd0, down};
     wire        below   = $signed(moved[56:24]) < $signed({target[31], target});
     wire        arrived = jump | (up ^ below);  // this move would reach or pass the target
+    wire        up_next = ~gate | (fresh ? below : up);
 
     always_ff @(posedge clk) begin
-        if (~gate) up <= 1'b1;
-        else if (fresh) up <= below;
+        up   <= up_next;
+        down <= ~up_next & ~fresh_next;
         if (fresh | (up & ~gate)) jump <= move[31:0] == 32'd0;
         if (~gate) v[55:24] <= 32'd0;
         else if (~holds) v[55:24] <= arrived ? target : moved[55:24];
@@ -389,6 +393,7 @@ module stepgen #(
         if (known) assert (two == (quadrature ? b : updown ? pulse & reverse : reverse));
         if (known) assert (was_active == (high != 18'd0) & was_active == (low == 18'd0));
         assert (~known | was_open | quadrature | ~pulse);
+        assert (down == (~up & ~fresh));
         assert (step_first == (step_clock == 13'd1 & ~step_over) & dir_first == (dir_clock == 16'd1 & ~dir_over));
         assert (step_over | step_clock != 13'd0 & {5'd0, step_clock} <= (pulse ? high_least : low_least));
         assert (dir_over | dir_clock != 16'd0 & {2'd0, dir_clock} <= (setup ? setup_least : hold_least));
