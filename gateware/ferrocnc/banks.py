@@ -43,24 +43,28 @@ class FabricBus(LiteXModule):
     """Decodes pages 8 and up. `storage` and `pulse` create written signals, `live` and `reads` read
     ones, `mirror` both.
 
-    A read has one clock:
+    A read has two clocks:
 
-        clk      _/‾\\_/‾\\_/‾\\_
-        adr      --X A X-------
-        A's gate   ----X word X---    all others are 0
-        dat_r      ----X word X---    OR of all gates
+        clk      _/‾\\_/‾\\_/‾\\_/‾\\_
+        coming   --X A X-----------
+        address  ------X A X-------
+        A's gate   --------X word X---    all others are 0
+        dat_r      --------X word X---    OR of all gates
     """
 
     def __init__(self):
         self.bus = csr_bus.Interface(data_width=32, address_width=rm.CSR_ADDRESS_WIDTH)
-        # The word address from the bus master, whether or not it is for this slave: `bus.adr` is
-        # the same one after the bridge's state, and half a clock later. A read has no side effect,
-        # so an unintended one does no harm.
-        self.adr = Signal(rm.CSR_ADDRESS_WIDTH)
-        # A word that the fast path stages, and one that it gathers. The CPU waits meanwhile.
+        # The word address from the bus master, of a write: `bus.adr` is the same one after the
+        # bridge's state, and half a clock later. And the one it will have in the next clock, of a
+        # read. Both whether or not they are for this slave: a read has no side effect, so an
+        # unintended one does no harm.
+        self.adr, self.coming = Signal(rm.CSR_ADDRESS_WIDTH), Signal(rm.CSR_ADDRESS_WIDTH)
+        # A word that the fast path stages, and one that it gathers in the next clock. The CPU waits
+        # meanwhile.
         self.stages, self.to, self.staged = Signal(), Signal(_FAST_BITS), Signal(32)
-        self.gathers, self.source = Signal(), Signal(_FAST_BITS)
-        address = Signal(rm.CSR_ADDRESS_WIDTH)
+        self.gathers_next, self.source_next = Signal(), Signal(_FAST_BITS)
+        # In flip-flops: between the fast path's choice and a word behind its gate lie 16 ns.
+        address = Signal(rm.CSR_ADDRESS_WIDTH, reset_less=True)
         self.word = address[:_WORD_BITS]
         self.page = address[_WORD_BITS:]
         self.we = Signal()
@@ -76,8 +80,8 @@ class FabricBus(LiteXModule):
         # # #
 
         written = Mux(self.stages, _fast_address(self.to), self.adr)
-        self.comb += address.eq(Mux(self.gathers, _fast_address(self.source), self.adr))
         self.sync += [
+            address.eq(Mux(self.gathers_next, _fast_address(self.source_next), self.coming)),
             self.we.eq(self.bus.we | self.stages),
             self.data.eq(Mux(self.stages, self.staged, self.bus.dat_w)),
             Cat(self.we_word, self.we_page).eq(written),
@@ -321,7 +325,7 @@ class Cores(LiteXModule):
             i_gate_now=self.gate_word, i_waiting=self.timed_waits, i_select=select, i_free=answer.free,
             o_stages=fabric.stages, o_to=fabric.to, o_take=self.take, o_taken=self.executes.taken,
             o_commit=self.executes.commit, o_commit_timed=self.executes.timed,
-            o_gathers=fabric.gathers, **{"o_from": fabric.source}, o_puts=answer.puts, o_put_at=answer.put_at, o_hold=self.hold,
+            o_gathers_next=fabric.gathers_next, o_from_next=fabric.source_next, o_puts=answer.puts, o_put_at=answer.put_at, o_hold=self.hold,
             o_out=out, o_executed=executed)
         fabric.live(b, "status", Cat(executed, out, answer.sending))
         self.comb += [

@@ -171,7 +171,7 @@ class SimSoC(ferro.FerroSoC):
         clock = Signal(name="cpu_clk")
         self.comb += clock.eq(self.crg.cd_sys.clk & ~freeze)
         params["i_clk"] = clock
-        for bus, port in ((self.cpu.ibus, "iBus"), (self.cpu.dbus, "dBus")):
+        for bus, port in ((self.fetch.master, "iBus"), (self.cpu.dbus, "dBus")):
             asks = Signal()
             params[f"o_{port}Wishbone_CYC"] = asks
             self.comb += bus.cyc.eq(asks & ~freeze)
@@ -238,7 +238,7 @@ def elaborate_cores(board, out):
     bus, pads = cores.bus, cores.pads
     ports = {
         "clk": cores.cd_sys.clk, "rst": cores.cd_sys.rst, "abi": cores.abi,
-        "adr": cores.fabric.adr, "we": bus.we, "dat_w": bus.dat_w, "dat_r": bus.dat_r,
+        "adr": cores.fabric.adr, "coming": cores.fabric.coming, "we": bus.we, "dat_w": bus.dat_w, "dat_r": bus.dat_r,
         "frame_done": cores.frame_done, "frame_slot": cores.frame_slot,
         "frame_pending": cores.frame_pending, "pending_slot": cores.pending_slot, "eth_beat": cores.eth_beat,
         **{name: getattr(pads, name) for name in vars(pads)},

@@ -10,7 +10,7 @@ from functools import partial, reduce
 from operator import or_
 from pathlib import Path
 
-from migen import If, Memory, Signal
+from migen import READ_FIRST, Cat, If, Memory, Mux, Signal
 from migen.genlib.fsm import FSM, NextState, NextValue
 from litex.gen import LiteXModule
 from litex.soc.integration import soc as litex_soc
@@ -21,6 +21,7 @@ from litex.soc.interconnect.csr import CSRStatus
 from liteeth import mac as liteeth_mac
 
 from . import VERSION, banks, board as board_file, regmap as rm, sdram, slots
+from .sdram_bridge import BURST, LINE
 
 RTL = Path(__file__).resolve().parent.parent / "rtl"
 # the layout of `wire`: its version, every field, address and code
@@ -36,7 +37,11 @@ class _BankArray(csr_bus.CSRBankArray):
 
 class _Bridge(LiteXModule):
     """LiteX's bridge from the bus to the registers, with its address in flip-flops: the fast path's
-    addresses join behind them. While `hold` its master waits."""
+    addresses join behind them. While `hold` its master waits.
+
+    `banks` keeps the address of a read in flip-flops of its own, which take the master's address
+    on every clock that the fast path leaves to them: with `hold` low they have had it for a clock.
+    """
 
     def __init__(self, bus_wishbone, bus_csr, register):
         self.wishbone, self.csr = bus_wishbone, bus_csr
@@ -95,6 +100,7 @@ class FerroSoC(SoCCore):
             csr_address_width=rm.CSR_ADDRESS_WIDTH,
             bus_timeout=None,  # its counter sits in the acknowledge path and costs 16 MHz
         )
+        self._add_fetch()
         self.ethphy = phy(self)
         # Slots in network order: the exchange is 32-bit big-endian words, and VexRiscv has no byte
         # swap. LiteX reads the slots' order from the CPU; nothing else uses it.
@@ -111,6 +117,15 @@ class FerroSoC(SoCCore):
     def _jobs(self):
         """Axes of a job."""
         return getattr(self.board, "jobs", 0)
+
+    def _add_fetch(self):
+        """Puts `Fetch` between the CPU and its instruction bus."""
+        self.fetch = fetch = Fetch(self.rom.mem, self.bus.regions["rom"].decoder(self.bus), self.cpu.ibus)
+        ours = fetch.master
+        self.cpu.cpu_params.update(
+            o_iBusWishbone_ADR=ours.adr, o_iBusWishbone_DAT_MOSI=ours.dat_w, o_iBusWishbone_SEL=ours.sel, o_iBusWishbone_CYC=ours.cyc,
+            o_iBusWishbone_STB=ours.stb, o_iBusWishbone_WE=ours.we, o_iBusWishbone_CTI=ours.cti, o_iBusWishbone_BTE=ours.bte,
+            i_iBusWishbone_DAT_MISO=ours.dat_r, i_iBusWishbone_ACK=ours.ack, i_iBusWishbone_ERR=ours.err)
 
     def _add_board_rom(self):
         origin, size = rm.BOARD_ROM
@@ -155,8 +170,41 @@ class FerroSoC(SoCCore):
             self.cores.abi.eq(abi_number(self)),
             self.csr_bridge.hold.eq(self.cores.hold),
             self.cores.fabric.adr.eq(self.csr_bridge.adr),
+            self.cores.fabric.coming.eq(self.csr_bridge.wishbone.adr),
         ]
         SoCCore.do_finalize(self)
+
+
+class Fetch(LiteXModule):
+    """The CPU's way to its instructions: to those in the ROM through a port of their own, a word on
+    every clock; to all others over the bus, where a line of the cache takes 22 clocks.
+
+        clk      _/‾\\_/‾\\_/‾\\_ .. _/‾\\_
+        cyc stb  _/‾‾‾‾‾‾‾‾‾‾‾ .. ‾‾‾\\_
+        adr      --X 0     X 1 ..X 7 X-
+        ack      _____/‾‾‾‾‾‾‾ .. ‾‾‾\\_
+    """
+
+    def __init__(self, memory, is_rom, bus):
+        self.master = master = wishbone.Interface(data_width=32, address_width=32, addressing="word")
+
+        # # #
+
+        port = memory.get_port(mode=READ_FIRST)
+        self.specials += port
+        near, ready = Signal(), Signal()
+        # A line of the cache begins at a multiple of its length: no carry leaves it.
+        word = Signal((LINE - 1).bit_length())
+        self.comb += [
+            near.eq(is_rom(master.adr)),
+            word.eq(master.adr + ready),
+            port.adr.eq(Cat(word, master.adr[len(word):])),
+            master.connect(bus, omit={"cyc", "dat_r", "ack"}),
+            bus.cyc.eq(master.cyc & ~near),
+            master.dat_r.eq(Mux(near, port.dat_r, bus.dat_r)),
+            master.ack.eq(Mux(near, ready & master.cyc & master.stb, bus.ack)),
+        ]
+        self.sync += ready.eq(near & master.cyc & master.stb & ~(ready & (master.cti != BURST)))
 
 
 class Elsewhere(SoCRegion):

@@ -13,7 +13,7 @@
 //   stages   __________/‾\___/‾\______________________     word 18 and up: written to register `to`
 //   take     ___________________/‾\___________________     the slot's writer forgets the frame
 //   taken    ______________________/‾\________________     commit, sample, feed, send
-//   gathers  _______________________________/‾‾\_/‾‾‾‾     a word of the answer is read from register `from`
+//   gathers  _______________________________/‾‾\_/‾‾‾‾     a word of the answer is read
 //   puts     __________________________________/‾\_/‾‾     a clock later: written to word `put_at` of the slot
 //   hold     __________/‾\___/‾‾‾‾‾‾‾\______/‾‾\_/‾‾‾‾     the CPU's access to registers waits
 //
@@ -25,6 +25,9 @@
 // Two conditions are firmware's, both on the first run of the answer, `skip`: it takes at least 5
 // clocks, so that the sampled words are complete when they are read, and at most 15, so that they
 // are written before the slot's reader needs them.
+//
+// The banks keep the address of a read in flip-flops, so `gathers_next` and `from_next` say what the
+// next clock gathers.
 //
 `default_nettype none
 module fast_path #(
@@ -63,8 +66,8 @@ module fast_path #(
     output logic        taken,
     output wire         commit,
     output wire         commit_timed,
-    output wire         gathers,
-    output wire  [9:0]  from,
+    output wire         gathers_next,
+    output wire  [9:0]  from_next,
     output logic        puts,
     output logic [6:0]  put_at,
     output wire         hold,
@@ -116,9 +119,11 @@ module fast_path #(
     // A word 23 that differs is staged, too, like those before it.
     assign stages  = valid & mine & out & alike & ~head;
     assign to      = address;
-    assign gathers = gathering & ~skips;
-    assign from    = address;
+    wire   gathers = gathering & ~skips;
     assign hold    = stages | complete | taken | gathers;
+    wire   [9:0] begins_at = coming[9:0] | {5'd0, select & {5{coming[COUNT_BITS + 11]}}};
+    assign gathers_next = ~rst & gathering & ~(turns ? ends | coming[COUNT_BITS + 10] : skips);
+    assign from_next    = turns ? begins_at : address + {9'd0, ~skips};
 
     always_ff @(posedge clk) begin
         if (run_we) runs[run_at] <= run;
@@ -144,7 +149,7 @@ module fast_path #(
             ends    <= coming[COUNT_BITS + 12] | (&next);
             skips   <= coming[COUNT_BITS + 10];
             left    <= coming[COUNT_BITS + 9:10];
-            address <= coming[9:0] | {5'd0, select & {5{coming[COUNT_BITS + 11]}}};
+            address <= begins_at;
             next    <= next + 4'd1;
         end else if (gathering | stages) begin
             left    <= left - 1'd1;
@@ -246,8 +251,12 @@ module fast_path #(
     wire  [11:0] f_to_come = ends ? 12'(left) : ((12'd16 - 12'(next)) << COUNT_BITS) + 12'(left);
     logic [11:0] f_came = 12'd0, f_gathered = 12'd0;
     logic        f_was_gathering = 1'b0;
+    // What was said a clock ago.
+    logic        f_gathers_next = 1'b0;
+    logic [9:0]  f_from_next = 10'd0;
     always_ff @(posedge clk) begin
         f_was_gathering <= gathering & ~rst;
+        {f_gathers_next, f_from_next} <= {gathers_next, from_next};
         f_came     <= f_to_come;
         f_gathered <= gathering ? f_gathered + 12'd1 : 12'd0;
     end
@@ -270,6 +279,10 @@ module fast_path #(
 `endif
 `ifdef PROVE_a_pass_is_never_handed_out_by_itself
         if (out & ~f_was_out) assert (f_handed);
+`endif
+`ifdef PROVE_what_is_gathered_has_been_said_a_clock_before
+        assert (gathers == f_gathers_next);
+        if (gathers) assert (address == f_from_next);
 `endif
 `ifdef PROVE_only_an_executed_command_writes_its_answer
         if (puts) assert (f_taken);

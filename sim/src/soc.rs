@@ -442,14 +442,16 @@ impl Drop for Soc {
 }
 
 /// Version of [`CoresPins`]; equal to `ABI_VERSION` in `verilator/cores.cpp`.
-const CORES_ABI: u32 = 3;
+const CORES_ABI: u32 = 4;
 
 /// Pins and register bus of the bare cores, as `struct CoresPins` in `verilator/cores.cpp`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CoresPins {
-    /// In: word address, of a read (answered after the edge) and of a write.
+    /// In: word address of a write.
     pub adr: u32,
+    /// In: word address of a read, answered after the next edge.
+    pub coming: u32,
     /// In: data of a write.
     pub dat_w: u32,
     /// In: the ABI number the map will have.
@@ -529,7 +531,7 @@ pub struct CoresPins {
     pub reserved_out: [u8; 2],
 }
 
-const _: () = assert!(size_of::<CoresPins>() == 76);
+const _: () = assert!(size_of::<CoresPins>() == 80);
 
 type CoresRiseFn = unsafe extern "C" fn(*mut c_void, *mut CoresPins);
 

@@ -10,11 +10,11 @@
 #include "verilated.h"
 
 namespace {
-constexpr uint32_t ABI_VERSION = 3;
+constexpr uint32_t ABI_VERSION = 4;
 
 struct CoresPins {
     // in
-    uint32_t adr, dat_w, abi, gpio_in, word;
+    uint32_t adr, coming, dat_w, abi, gpio_in, word;
     uint16_t enc_a, enc_b, enc_i, step_index, enc_mask;
     uint8_t we, rst, ext_reset, frame_done, frame_slot, frame_pending, pending_slot, pad_fault, pad_at, pad_to, eth_beat, word_is, answer_free, answer_sending;
     // out
@@ -22,7 +22,7 @@ struct CoresPins {
     uint16_t step, dir, step_n, dir_n, pwm_out, pwm_dir, length;
     uint8_t led, gate, frame, put_at, reserved_out[2];
 };
-static_assert(sizeof(CoresPins) == 76, "mirrored in sim/src/soc.rs");
+static_assert(sizeof(CoresPins) == 80, "mirrored in sim/src/soc.rs");
 
 struct Cores {
     VerilatedContext context;
@@ -76,6 +76,7 @@ void fc_cores_rise(void* handle, CoresPins* p) {
     Vcores& m = *static_cast<Cores*>(handle)->model;
     m.eth_beat = p->eth_beat;
     m.adr = p->adr;
+    m.coming = p->coming;
     m.dat_w = p->dat_w;
     m.we = p->we;
     m.rst = p->rst;

@@ -56,6 +56,7 @@ fn play(told: &Prediction, timing: [u32; 4]) -> Vec<pins::Event> {
         let reads = write.is_none() && clock % 64 < 2;
         let (page, word, data) = write.unwrap_or((pages::SEGMENTS, STATUS, 0));
         (pins.adr, pins.dat_w, pins.we) = (page << 9 | word, data, write.is_some().into());
+        pins.coming = pages::SEGMENTS << 9 | STATUS;
         cores.rise(&mut pins);
         if reads {
             status = pins.dat_r;

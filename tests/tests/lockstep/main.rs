@@ -54,10 +54,10 @@ fn flags(word: &Word) -> u8 {
 }
 
 /// Puts this on the cores' inputs.
-fn put(pins: &mut CoresPins, s: &Pins, bus: &Bus, address: u32) {
-    pins.adr = address;
+fn put(pins: &mut CoresPins, s: &Pins, bus: &Bus, coming: u32) {
+    pins.coming = coming;
     pins.we = bus.write.is_some().into();
-    pins.dat_w = bus.write.map_or(0, |(_, data)| data);
+    (pins.adr, pins.dat_w) = bus.write.unwrap_or_default();
     pins.rst = bus.rst.into();
     (pins.word, pins.word_is) = bus.word.map_or((0, 0), |word| (word.data, flags(&word)));
     pins.eth_beat = bus.beat.into();
@@ -131,14 +131,16 @@ fn run(seed: u64, clocks: u64) -> Run {
     let mut events = EventCounts::default();
     let (mut reads, mut travelled) = (0, [0u64; 2]);
     let mut counts_were = [0i32; 32];
+    // What the bus master reads in the next clock.
+    let mut coming = 0;
     for clock in 0..clocks {
         stimulus.move_pins();
         let (free, sending) = stimulus.line();
         board.line(free, sending);
         let mut bus = stimulus.mac(board.peek(pages::WATCHDOG, watchdog::STATUS as u32));
         let (does, refuses) = board.frames(&bus);
-        let (address, write) = stimulus.access(does.hold);
-        bus.write = write;
+        bus.write = stimulus.write_now(does.hold);
+        let address = core::mem::replace(&mut coming, stimulus.read_at());
         if does.taken {
             stimulus.sending = 100;
         }
@@ -148,7 +150,7 @@ fn run(seed: u64, clocks: u64) -> Run {
             None => address,
         };
         let told = told_to_the_mac(&does, refuses);
-        put(&mut pins, &stimulus.pins, &bus, address);
+        put(&mut pins, &stimulus.pins, &bus, coming);
         (pins.answer_free, pins.answer_sending) = (free.into(), sending.into());
 
         let expected = board.peek(address >> 9, address & 0x1ff);

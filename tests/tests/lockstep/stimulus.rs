@@ -498,22 +498,25 @@ impl Stimulus {
         bus
     }
 
-    /// The address on the bus in this clock, and what is written. The bus master waits while the
-    /// fast path has the registers.
-    pub fn access(&mut self, hold: bool) -> (u32, Option<(u32, u32)>) {
+    /// What is written in this clock: address and data. The bus master waits while the fast path
+    /// has the registers.
+    pub fn write_now(&mut self, hold: bool) -> Option<(u32, u32)> {
         // Writes as close as the bus can carry them, and with the CPU's pauses.
         let writes = if self.busy { 1 } else { 3 };
-        if !hold && !self.writes.is_empty() && self.random.one_in(writes) {
-            let (page, word, data) = self.writes.pop_front().expect("not empty");
-            return (page << 9 | word, Some((page << 9 | word, data)));
+        if hold || self.writes.is_empty() || !self.random.one_in(writes) {
+            return None;
         }
-        let address = if self.random.one_in(60) {
-            self.random.below(1 << 15)
-        } else {
-            let at = self.random.below(self.registers.len() as u32) as usize;
-            let (page, word) = self.registers[at];
-            page << 9 | word
-        };
-        (address, None)
+        let (page, word, data) = self.writes.pop_front()?;
+        Some((page << 9 | word, data))
+    }
+
+    /// The address of a read.
+    pub fn read_at(&mut self) -> u32 {
+        if self.random.one_in(60) {
+            return self.random.below(1 << 15);
+        }
+        let at = self.random.below(self.registers.len() as u32) as usize;
+        let (page, word) = self.registers[at];
+        page << 9 | word
     }
 }
