@@ -104,6 +104,7 @@ pub enum Setting {
 
 impl Setting {
     /// The address of its register.
+    #[inline(always)]
     pub const fn address(self) -> usize {
         let (base, channel, word) = match self {
             Setting::Stepgen(n, field) => (stepgen::BASE, n, field as usize),

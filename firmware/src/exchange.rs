@@ -14,13 +14,13 @@
 
 use crate::block::STATE_ANSWER;
 use crate::cores::{Board, Control, Gate};
-use crate::safety::Event;
 use crate::server::Server;
 use crate::session::Peer;
 use wire::etherbone::ReplyWriter;
 use wire::exchange::{
     COMMAND_HEAD, COMMAND_STEPGEN, FLAG_ALONE_SHIFT, FLAG_APPLY_TIME, FLAG_ENABLE,
-    FLAG_ENABLE_REQUEST, STATUS_ENCODER, STATUS_STEPGEN, command_word, judge_sequence,
+    FLAG_ENABLE_REQUEST, STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, command_word, judge_sequence,
+    status_word,
 };
 use wire::regmap::{command, status, timebase};
 use wire::{Refusal, State};
@@ -77,26 +77,26 @@ impl Server {
         self.stage(board, block);
         let gate = self.commit(board, &head, gate)?;
         // `session_yours` and `accepted` are true here, because anything else was refused above.
-        let words = [
-            head.sequence,
-            self.state_word(gate) | STATE_ANSWER,
-            head.sequence,
-            board.arrival_lo(),
-            board.arrival_hi(),
-            board.latched(status::SAMPLE_LO),
-            board.latched(status::SAMPLE_HI),
-            left,
-            self.counters.refused_total,
-            self.boot.id,
-            board.latched(status::ESTOP),
-            board.latched(status::GPIO_IN),
-            board.latched(status::FLAGS0),
-            board.latched(status::FLAGS1),
-            board.latched(status::FLAGS2),
-            board.latched(status::ENCODER0_LATCH + head.latch() as usize),
-        ];
         // The caller provides a buffer for the longest answer.
-        reply.extend(&words);
+        reply.push(head.sequence);
+        if let Some(words) = reply.room::<STATUS_HEAD>() {
+            words[status_word::STATE] = self.state_word(gate) | STATE_ANSWER;
+            words[status_word::SEQUENCE] = head.sequence;
+            words[status_word::ARRIVAL_LO] = board.arrival_lo();
+            words[status_word::ARRIVAL_HI] = board.arrival_hi();
+            words[status_word::SAMPLE_LO] = board.latched(status::SAMPLE_LO);
+            words[status_word::SAMPLE_HI] = board.latched(status::SAMPLE_HI);
+            words[status_word::WATCHDOG_LEFT] = left;
+            words[status_word::REFUSED] = self.counters.refused_total;
+            words[status_word::BOOT_ID] = self.boot.id;
+            words[status_word::ESTOP] = board.latched(status::ESTOP);
+            words[status_word::GPIO_IN] = board.latched(status::GPIO_IN);
+            words[status_word::FLAGS0] = board.latched(status::FLAGS0);
+            words[status_word::FLAGS1] = board.latched(status::FLAGS1);
+            words[status_word::FLAGS2] = board.latched(status::FLAGS2);
+            words[status_word::LATCH] =
+                board.latched(status::ENCODER0_LATCH + head.latch() as usize);
+        }
         let stepgens = STATUS_STEPGEN * self.shape.stepgens;
         let encoders = STATUS_ENCODER * self.shape.encoders;
         for (first, count) in [
@@ -213,12 +213,8 @@ impl Server {
         gate: Gate,
         apply: Option<[u32; 2]>,
     ) -> Result<Gate, Refusal> {
-        let event = Event::Command {
-            enable,
-            request,
-            gate,
-        };
-        let effects = self.step(event, board.now());
+        let now = board.now();
+        let effects = self.follow(|safety| safety.obey(enable, request, gate, now));
         if effects.end_session {
             // The watchdog bit before this command came: the session has no owner any more.
             self.obey(board, effects);

@@ -15,7 +15,7 @@
 //! ```
 
 use crate::session::Peer;
-use wire::Refusal;
+use wire::{MAX_WORDS, Refusal};
 
 /// Bytes before the UDP payload.
 pub const HEADERS: usize = 42;
@@ -98,7 +98,7 @@ pub enum Class {
     Nothing,
 }
 
-/// A checked datagram: its headers are right and its payload lies inside the frame.
+/// A checked datagram: its headers are right, and its payload is whole words inside the frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Datagram {
     /// The sender.
@@ -129,10 +129,18 @@ impl Datagram {
     }
 }
 
-/// Looks at a frame of `length` bytes. `ports`: where the services listen.
-pub fn classify(frame: &impl Frame, length: usize, us: &Us, ports: &UdpPorts) -> Class {
-    let [w0, w1, _, w3, w4, w5, w6, source, destination] =
-        core::array::from_fn(|index| frame.word(index));
+/// Looks at a frame of `length` bytes. `ports`: where the services listen. The words of a datagram
+/// for us are in `payload` then, so that each is read from its slot once.
+pub fn classify(
+    frame: &impl Frame,
+    length: usize,
+    us: &Us,
+    ports: &UdpPorts,
+    payload: &mut [u32; MAX_WORDS],
+) -> Class {
+    let (w0, w1) = (frame.word(0), frame.word(1));
+    let (w3, w4, w5, w6) = (frame.word(3), frame.word(4), frame.word(5), frame.word(6));
+    let (source, destination) = (frame.word(7), frame.word(8));
     let options = (w4 >> 24 & 0xf).wrapping_sub(5) as usize;
     let to = Destination::of(w0, w1, us);
     let udp = length >= HEADERS
@@ -170,7 +178,8 @@ pub fn classify(frame: &impl Frame, length: usize, us: &Us, ports: &UdpPorts) ->
         port if port != 0 && ports.contains(&port) => return Class::Services,
         _ => return Class::Nothing,
     };
-    if fold(sum_words(frame, 4, 5 + options)) != 0xffff {
+    let header = [w4, w5, w6, source, destination];
+    if fold(header.into_iter().fold(sum_words(frame, 9, options), add)) != 0xffff {
         return Class::Refused(Refusal::Checksum);
     }
     let ip_length = (w4 & 0xffff) as usize;
@@ -184,15 +193,19 @@ pub fn classify(frame: &impl Frame, length: usize, us: &Us, ports: &UdpPorts) ->
     if !consistent {
         return Class::Refused(Refusal::Truncated);
     }
-    if lengths & 0xffff != 0 {
-        let pseudo = add(add(source, destination), PROTOCOL_UDP + udp_length as u32);
-        let rest = udp_length % 4;
-        let end = 9 + options + udp_length / 4;
-        let last = frame.word(end) & !(u32::MAX.checked_shr(8 * rest as u32).unwrap_or(0));
-        let whole = sum_words(frame, 9 + options, udp_length / 4);
-        if fold(add(add(pseudo, whole), last)) != 0xffff {
-            return Class::Refused(Refusal::Checksum);
-        }
+    let count = match payload_words(udp_length - UDP_HEADER) {
+        Ok(count) => count,
+        Err(why) => return Class::Refused(why),
+    };
+    let pseudo = add(add(source, destination), PROTOCOL_UDP + udp_length as u32);
+    let mut sum = add(add(pseudo, words), lengths);
+    let first = PAYLOAD_WORD + options;
+    for (place, index) in payload.iter_mut().zip(first..first + count) {
+        *place = frame.word(index);
+        sum = add(sum, *place);
+    }
+    if lengths & 0xffff != 0 && fold(sum) != 0xffff {
+        return Class::Refused(Refusal::Checksum);
     }
     let datagram = Datagram {
         peer: Peer {
@@ -277,11 +290,6 @@ pub fn payload_words(bytes: usize) -> Result<usize, Refusal> {
     Ok(bytes / 4)
 }
 
-/// A payload word.
-pub fn payload_word(frame: &impl Frame, options: usize, index: usize) -> u32 {
-    frame.word(PAYLOAD_WORD + options + index)
-}
-
 /// Writes everything in front of the payload, as an answer to `to`. The UDP checksum is 0, which
 /// IPv4 allows: the MAC's CRC covers the same bytes, and servo traffic does not pass routers.
 pub fn emit_headers(slot: &mut impl Slot, us: &Us, to: &Datagram, payload_bytes: usize) {
@@ -294,28 +302,34 @@ pub fn emit_headers(slot: &mut impl Slot, us: &Us, to: &Datagram, payload_bytes:
     let sum = [version, fragment, protocol, us.ip, to.peer.ip]
         .into_iter()
         .fold(0, add);
-    let words = [
-        u32::from(theirs_high),
-        theirs_low,
-        u32::from(ours_high) << 16 | ours_low >> 16,
-        ours_low << 16 | ETHERTYPE_IPV4,
-        version,
-        fragment,
-        protocol | !fold(sum) & 0xffff,
-        us.ip,
-        to.peer.ip,
-        u32::from(us.port) << 16 | u32::from(to.peer.port),
-        udp_length << 16,
-    ];
-    for (index, word) in words.into_iter().enumerate() {
-        slot.put(index, word);
-    }
+    slot.put(0, u32::from(theirs_high));
+    slot.put(1, theirs_low);
+    slot.put(2, u32::from(ours_high) << 16 | ours_low >> 16);
+    slot.put(3, ours_low << 16 | ETHERTYPE_IPV4);
+    slot.put(4, version);
+    slot.put(5, fragment);
+    slot.put(6, protocol | !fold(sum) & 0xffff);
+    slot.put(7, us.ip);
+    slot.put(8, to.peer.ip);
+    slot.put(9, u32::from(us.port) << 16 | u32::from(to.peer.port));
+    slot.put(10, udp_length << 16);
 }
 
 /// Copies a payload after the headers; returns the frame's length in bytes.
 pub fn emit_payload(slot: &mut impl Slot, payload: &[u32]) -> usize {
-    for (index, word) in payload.iter().enumerate() {
-        slot.put(PAYLOAD_WORD + index, *word);
+    // Four at a time: a loop costs more than the stores.
+    let (fours, rest) = payload.as_chunks::<4>();
+    let mut at = PAYLOAD_WORD;
+    for [a, b, c, d] in fours {
+        slot.put(at, *a);
+        slot.put(at + 1, *b);
+        slot.put(at + 2, *c);
+        slot.put(at + 3, *d);
+        at += 4;
+    }
+    for word in rest {
+        slot.put(at, *word);
+        at += 1;
     }
     HEADERS + payload.len() * 4
 }

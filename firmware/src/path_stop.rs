@@ -88,15 +88,13 @@ impl PathStop {
         }
     }
 
-    /// The machine is about to be armed: the cores hold the host's values.
-    pub(crate) fn begin(&mut self, board: &mut impl Board, stepgens: usize) {
-        if !self.active {
-            self.active = true;
-            for (n, axis) in (0u8..).zip(self.axes.iter_mut().take(stepgens)) {
-                axis.configured = board.setting(stop_accel(n));
-            }
-            self.timeout = board.setting(Setting::Board(BoardConfig::WatchdogTimeout));
+    /// The machine has been armed: the cores hold the host's values.
+    fn begin(&mut self, board: &mut impl Board, stepgens: usize) {
+        self.active = true;
+        for (n, axis) in (0u8..).zip(self.axes.iter_mut().take(stepgens)) {
+            axis.configured = board.setting(stop_accel(n));
         }
+        self.timeout = board.setting(Setting::Board(BoardConfig::WatchdogTimeout));
     }
 
     /// The machine is at rest: restores the configured values in the cores.
@@ -134,9 +132,13 @@ impl PathStop {
     }
 
     /// Makes the decelerations fit the command that was executed last. `segments`: the board can
-    /// play them.
+    /// play them. The first time after arming it notes the host's values, which takes longer: here,
+    /// behind the answer, and not in front of it.
     #[inline(always)]
     pub(crate) fn hold(&mut self, board: &mut impl Board, stepgens: usize, segments: bool) {
+        if !self.active {
+            self.begin(board, stepgens);
+        }
         let flags = core::mem::take(&mut self.flags);
         // The command is still staged: the one that was staged last was executed.
         let mut members = board.staged(command::ENABLES) & !(flags >> FLAG_ALONE_SHIFT);

@@ -240,16 +240,42 @@ impl Safety {
     }
 
     /// The transition function. It is total: every event in every state.
-    pub fn step(self, event: Event, now: u64) -> (Safety, Effects) {
-        let (next, effects) = self.decide(event, now);
-        #[cfg(any(test, debug_assertions))]
-        if let Err(why) = invariants::hold(&self, event, &next, &effects) {
-            panic!("{why}: {self:?} --{event:?}--> {next:?} {effects:?}");
-        }
-        (next, effects)
+    pub fn step(&mut self, event: Event, now: u64) -> Effects {
+        self.checked(|| event, |safety| safety.decide(event, now))
     }
 
-    fn decide(self, event: Event, now: u64) -> (Safety, Effects) {
+    /// [`Safety::step`] for [`Event::Command`], on the way to an answer that a host waits for.
+    #[inline]
+    pub fn obey(&mut self, enable: bool, request: bool, gate: Gate, now: u64) -> Effects {
+        let event = || Event::Command {
+            enable,
+            request,
+            gate,
+        };
+        self.checked(event, |safety| safety.command(enable, request, gate, now))
+    }
+
+    /// A transition. Debug builds check that it keeps the invariants.
+    #[inline(always)]
+    fn checked(
+        &mut self,
+        _event: impl FnOnce() -> Event,
+        transition: impl FnOnce(&mut Self) -> Effects,
+    ) -> Effects {
+        #[cfg(any(test, debug_assertions))]
+        let before = *self;
+        let effects = transition(self);
+        #[cfg(any(test, debug_assertions))]
+        {
+            let event = _event();
+            if let Err(why) = invariants::hold(&before, event, self, &effects) {
+                panic!("{why}: {before:?} --{event:?}--> {self:?} {effects:?}");
+            }
+        }
+        effects
+    }
+
+    fn decide(&mut self, event: Event, now: u64) -> Effects {
         match event {
             Event::Booted {
                 abi_fits,
@@ -264,22 +290,22 @@ impl Safety {
                 gate,
             } => self.command(enable, request, gate, now),
             Event::Gate(gate) => {
-                let (mut next, effects) = self.gate(gate, now);
-                if next.running(gate) {
-                    next.seen = now as u32;
+                let effects = self.gate(gate, now);
+                if self.running(gate) {
+                    self.seen = now as u32;
                 }
-                (next, effects)
+                effects
             }
             Event::LinkDown => self.soft_stop(FaultReason::LinkDown, State::Faulted, now),
             Event::JobUnderrun => self.soft_stop(FaultReason::JobUnderrun, State::Faulted, now),
         }
     }
 
-    fn booted(mut self, abi_fits: bool, reset: ResetReason, close: GateClose) -> (Safety, Effects) {
+    fn booted(&mut self, abi_fits: bool, reset: ResetReason, close: GateClose) -> Effects {
         match self.state {
             State::Boot => {}
             State::Disarmed | State::Armed | State::Stopping | State::Faulted => {
-                return (self, Effects::NONE);
+                return Effects::NONE;
             }
         }
         self.abi_fits = abi_fits;
@@ -316,82 +342,82 @@ impl Safety {
             self.state = State::Faulted;
             self.reason = FaultReason::AbiMismatch;
         }
-        (self, Effects::order(Control::Close))
+        Effects::order(Control::Close)
     }
 
-    fn acquired(mut self, now: u64) -> (Safety, Effects) {
-        let (mut next, effects) = match self.state {
+    fn acquired(&mut self, now: u64) -> Effects {
+        let effects = match self.state {
             // A host that resynchronises does not know what the machine is doing: stop it.
             State::Armed => self.soft_stop(FaultReason::SessionLost, State::Faulted, now),
             State::Boot | State::Disarmed | State::Stopping | State::Faulted => {
                 self.request = Request::Unknown;
-                (self, Effects::NONE)
+                Effects::NONE
             }
         };
-        next.session = true;
-        next.resynced = true;
-        (next, effects)
+        self.session = true;
+        self.resynced = true;
+        effects
     }
 
-    fn lost(self, now: u64) -> (Safety, Effects) {
-        let (mut next, effects) = self.soft_stop(FaultReason::SessionLost, State::Faulted, now);
-        next.end_session();
-        (next, effects)
+    fn lost(&mut self, now: u64) -> Effects {
+        let effects = self.soft_stop(FaultReason::SessionLost, State::Faulted, now);
+        self.end_session();
+        effects
     }
 
-    fn command(self, enable: bool, request: bool, gate: Gate, now: u64) -> (Safety, Effects) {
+    fn command(&mut self, enable: bool, request: bool, gate: Gate, now: u64) -> Effects {
         // The gate's state comes first: a command must not overtake a bite.
         let rested = self.at_rest();
-        let (mut next, mut effects) = self.gate(gate, now);
-        if effects.end_session || !next.session {
-            return (next, effects);
+        let mut effects = self.gate(gate, now);
+        if effects.end_session || !self.session {
+            return effects;
         }
-        let before = next.request;
-        next.request = before.follow(request);
-        if !rested && next.request == Request::Edge {
+        let before = self.request;
+        self.request = before.follow(request);
+        if !rested && self.request == Request::Edge {
             // A host that asks to arm a running or stopping machine has to ask again, even if the
             // machine comes to rest now.
-            next.request = Request::High;
+            self.request = Request::High;
         }
-        match next.state {
+        match self.state {
             State::Armed if !enable => {
-                return next.soft_stop(FaultReason::HostDisable, State::Disarmed, now);
+                return self.soft_stop(FaultReason::HostDisable, State::Disarmed, now);
             }
             State::Armed => effects.execute = true,
             State::Disarmed if before == Request::Edge && request => {
-                if enable && next.abi_fits && !next.held && Self::clear_to_arm(gate) {
-                    next.state = State::Armed;
-                    next.reason = FaultReason::None;
-                    next.position_trusted = true;
+                if enable && self.abi_fits && !self.held && Self::clear_to_arm(gate) {
+                    self.state = State::Armed;
+                    self.reason = FaultReason::None;
+                    self.position_trusted = true;
                     effects.execute = true;
                     effects.order = Some(Control::Arm);
                 }
-                next.request = Request::High;
+                self.request = Request::High;
             }
-            State::Disarmed if next.request == Request::Edge => {
+            State::Disarmed if self.request == Request::Edge => {
                 // The gateware also latches a bite, reset or e-stop that came while disarmed. An
                 // open gate is closed first.
                 if gate.latched() && !gate.open() {
                     effects.order = Some(Control::Clear);
                 }
             }
-            State::Faulted if next.request == Request::Edge => {
+            State::Faulted if self.request == Request::Edge => {
                 // The cause must be gone, and a wrong ABI never goes away.
-                if next.resynced && next.abi_fits && !gate.open() && !gate.pinned_now() {
-                    next.state = State::Disarmed;
+                if self.resynced && self.abi_fits && !gate.open() && !gate.pinned_now() {
+                    self.state = State::Disarmed;
                     effects.order = Some(Control::Clear);
                 } else {
-                    next.request = Request::High;
+                    self.request = Request::High;
                 }
             }
             State::Boot | State::Disarmed | State::Stopping | State::Faulted => {}
         }
-        (next, effects)
+        effects
     }
 
-    fn gate(mut self, gate: Gate, now: u64) -> (Safety, Effects) {
+    fn gate(&mut self, gate: Gate, now: u64) -> Effects {
         match self.state {
-            State::Boot => (self, Effects::NONE),
+            State::Boot => Effects::NONE,
             State::Armed => {
                 if gate.pinned() {
                     self.pinned(gate)
@@ -402,7 +428,7 @@ impl Safety {
                     self.position_trusted = false;
                     self.enter_fault(FaultReason::Watchdog)
                 } else {
-                    (self, Effects::NONE)
+                    Effects::NONE
                 }
             }
             State::Stopping => {
@@ -429,18 +455,16 @@ impl Safety {
                     self.state = self.after_stop;
                     effects.order = Some(Control::Close);
                 }
-                (self, effects)
+                effects
             }
             // No command requested an open gate without an armed machine.
-            State::Disarmed | State::Faulted if gate.open() => {
-                (self, Effects::order(Control::Close))
-            }
-            State::Disarmed | State::Faulted => (self, Effects::NONE),
+            State::Disarmed | State::Faulted if gate.open() => Effects::order(Control::Close),
+            State::Disarmed | State::Faulted => Effects::NONE,
         }
     }
 
     /// The gateware's watchdog bit; the gateware already stops all axes.
-    fn bitten(mut self, gate: Gate, now: u64) -> (Safety, Effects) {
+    fn bitten(&mut self, gate: Gate, now: u64) -> Effects {
         self.end_session();
         self.reason = FaultReason::Watchdog;
         self.after_stop = State::Faulted;
@@ -456,11 +480,11 @@ impl Safety {
             end_session: true,
             ..Effects::NONE
         };
-        (self, effects)
+        effects
     }
 
     /// A pin closed the gate in the middle of a step.
-    fn pinned(mut self, gate: Gate) -> (Safety, Effects) {
+    fn pinned(&mut self, gate: Gate) -> Effects {
         self.position_trusted = false;
         self.enter_fault(if gate.reset() || gate.reset_pin() {
             FaultReason::ExternalReset
@@ -469,15 +493,15 @@ impl Safety {
         })
     }
 
-    fn enter_fault(mut self, reason: FaultReason) -> (Safety, Effects) {
+    fn enter_fault(&mut self, reason: FaultReason) -> Effects {
         self.state = State::Faulted;
         self.reason = reason;
         self.resynced = false;
         self.request = Request::Unknown;
-        (self, Effects::order(Control::Close))
+        Effects::order(Control::Close)
     }
 
-    fn soft_stop(mut self, reason: FaultReason, after: State, now: u64) -> (Safety, Effects) {
+    fn soft_stop(&mut self, reason: FaultReason, after: State, now: u64) -> Effects {
         match self.state {
             State::Armed => {
                 self.state = State::Stopping;
@@ -486,7 +510,7 @@ impl Safety {
                 self.stop_since = now as u32;
                 self.resynced = false;
                 self.request = Request::Unknown;
-                (self, Effects::order(Control::SoftStop))
+                Effects::order(Control::SoftStop)
             }
             State::Stopping => {
                 // A fault on the way to rest replaces the host's request; the first fault replaces
@@ -496,9 +520,9 @@ impl Safety {
                     self.reason = reason;
                     self.resynced = false;
                 }
-                (self, Effects::NONE)
+                Effects::NONE
             }
-            State::Boot | State::Disarmed | State::Faulted => (self, Effects::NONE),
+            State::Boot | State::Disarmed | State::Faulted => Effects::NONE,
         }
     }
 

@@ -411,11 +411,17 @@ impl Server {
 
     /// Steps the state machine; the effects are still to be executed.
     pub(crate) fn step(&mut self, event: Event, now: u64) -> Effects {
-        let (next, effects) = self.safety.step(event, now);
-        let before = core::mem::replace(&mut self.safety, next);
+        self.follow(|safety| safety.step(event, now))
+    }
+
+    /// Keeps account of a transition of the state machine.
+    #[inline(always)]
+    pub(crate) fn follow(&mut self, transition: impl FnOnce(&mut Safety) -> Effects) -> Effects {
+        let (trusted, state) = (self.safety.position_trusted(), self.safety.state());
+        let effects = transition(&mut self.safety);
         // What a start finds is no cut of this start: counts begin again with it.
-        let lost = before.position_trusted() && !next.position_trusted();
-        if lost && before.state() != wire::State::Boot {
+        let lost = trusted && !self.safety.position_trusted();
+        if lost && state != wire::State::Boot {
             self.counters.cuts = self.counters.cuts.wrapping_add(1);
         }
         self.refresh();
@@ -430,13 +436,11 @@ impl Server {
         if let Some(order) = effects.order {
             if order == Control::Arm {
                 self.committed = true;
-                self.path_stop.begin(board, self.shape.stepgens);
+                board.led(Led::On);
                 let grace = board.setting(Setting::Board(BoardConfig::WatchdogGrace));
                 self.safety.opens(grace, board.now_lo());
             }
             board.control(order);
-            let (gate, now) = (board.gate(), board.now());
-            board.led(self.led(gate, now));
         }
     }
 

@@ -234,12 +234,14 @@ impl<'b> ReplyWriter<'b> {
 
     /// Appends words.
     pub fn extend(&mut self, words: &[u32]) -> bool {
-        let Some(room) = self.buffer.get_mut(self.used..self.used + words.len()) else {
-            return false;
-        };
-        room.copy_from_slice(words);
-        self.used += words.len();
-        true
+        self.append(words.iter().copied())
+    }
+
+    /// Appends so many words, to be written by the caller.
+    pub fn room<const N: usize>(&mut self) -> Option<&mut [u32; N]> {
+        let room = self.buffer.get_mut(self.used..)?.first_chunk_mut()?;
+        self.used += N;
+        Some(room)
     }
 
     /// Appends the words of an iterator of known length.

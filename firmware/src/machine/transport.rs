@@ -1,5 +1,5 @@
 //! The calls of a transport to the [`Machine`], so that a transport does not use the server
-//! directly. All of them are inlined, because the image's fast path runs through them.
+//! directly. All of them are inlined, because each is a line or two.
 
 use super::Machine;
 use crate::block::Shape;

@@ -91,7 +91,15 @@ fn udp_frame(payload: &[u8], with_checksum: bool) -> Vec<u8> {
 }
 
 fn look(frame: &[u8]) -> Class {
-    classify(&Bytes(frame.to_vec()), frame.len(), &US, &PORTS)
+    look_at(frame, &US, &PORTS).0
+}
+
+/// What it is, and the words of its payload.
+fn look_at(frame: &[u8], us: &Us, ports: &UdpPorts) -> (Class, [u32; MAX_WORDS]) {
+    let mut payload = [0; MAX_WORDS];
+    let frame = (Bytes(frame.to_vec()), frame.len());
+    let class = classify(&frame.0, frame.1, us, ports, &mut payload);
+    (class, payload)
 }
 
 fn with(at: usize, value: u8) -> Vec<u8> {
@@ -111,13 +119,17 @@ fn rechecked(mut frame: Vec<u8>) -> Vec<u8> {
 #[test]
 fn plain_udp_to_our_port_is_ours_with_and_without_checksum() {
     for with_checksum in [false, true] {
-        for length in [0, 1, 2, 3, 4, 5, 100, 116, 1472] {
+        for length in [0, 1, 2, 3, 4, 5, 100, 116, wire::MAX_PAYLOAD, 1472] {
             let payload: Vec<u8> = (0..length).map(|i| (i * 37) as u8).collect();
             let frame = udp_frame(&payload, with_checksum);
+            if let Err(why) = payload_words(length) {
+                assert_eq!(look(&frame), Class::Refused(why), "{length}");
+                continue;
+            }
             let expected = Datagram {
                 peer: ALICE,
                 mac: (0x0203, 0x0405_0607),
-                length: length as usize,
+                length,
                 options: 0,
                 service: 0,
                 ttl: 63,
@@ -130,9 +142,10 @@ fn plain_udp_to_our_port_is_ours_with_and_without_checksum() {
 #[test]
 fn payload_words_are_the_payload() {
     let payload: Vec<u8> = (0..40).collect();
-    let frame = Bytes(udp_frame(&payload, true));
-    for (index, chunk) in payload.chunks(4).enumerate() {
-        assert_eq!(payload_word(&frame, 0, index).to_be_bytes(), *chunk);
+    let frame = udp_frame(&payload, true);
+    let (_, words) = look_at(&frame, &US, &PORTS);
+    for (word, chunk) in words.iter().zip(payload.chunks(4)) {
+        assert_eq!(word.to_be_bytes(), *chunk);
     }
 }
 
@@ -203,8 +216,7 @@ fn a_group_is_heard_at_the_services_ports_only_and_not_without_services() {
     let mut query = to(5353, [1, 0, 0x5e, 0, 0, 1], [224, 0, 0, 1]);
     query[23] = 2;
     assert_eq!(look(&query), Class::Services, "a router's query");
-    let bytes = Bytes(query.clone());
-    let unheard = classify(&bytes, query.len(), &US, &[0; 8]);
+    let (unheard, _) = look_at(&query, &US, &[0; 8]);
     assert_eq!(unheard, Class::Nothing);
     // The neighbours of that MAC address.
     for mac in [
@@ -219,10 +231,7 @@ fn a_group_is_heard_at_the_services_ports_only_and_not_without_services() {
 #[test]
 fn without_an_address_only_the_services_ports_and_discovery_are_heard() {
     let us = Us { ip: 0, ..US };
-    let look = |frame: Vec<u8>| {
-        let length = frame.len();
-        classify(&Bytes(frame), length, &us, &PORTS)
-    };
+    let look = |frame: Vec<u8>| look_at(&frame, &us, &PORTS).0;
     assert_eq!(look(to(68, US.mac, [10, 0, 0, 9])), Class::Services);
     assert_eq!(look(to(68, [0xff; 6], [255; 4])), Class::Services);
     for protocol in [1, 6] {
@@ -323,7 +332,8 @@ fn ip_options_are_stepped_over() {
             (datagram.options, datagram.length, datagram.peer),
             (options, 20, ALICE)
         );
-        assert_eq!(payload_word(&Bytes(frame.clone()), options, 1), 0x0405_0607);
+        let (_, words) = look_at(&frame, &US, &PORTS);
+        assert_eq!(words[..2], [0x0001_0203, 0x0405_0607]);
         frame[34] ^= 4;
         assert_eq!(look(&frame), Class::Refused(Refusal::Checksum));
     }
@@ -354,7 +364,8 @@ fn our_answers_satisfy_our_own_checks_seen_from_the_other_side() {
         ip: ALICE.ip,
         port: ALICE.port,
     };
-    let seen = classify(&Bytes(bytes.clone()), length, &them, &[0; 8]);
+    let (seen, words) = look_at(&bytes, &them, &[0; 8]);
+    assert_eq!(words[..2], [0x1122_3344, 0x5566_7788]);
     let expected = Datagram {
         peer: crate::session::Peer {
             ip: US.ip,

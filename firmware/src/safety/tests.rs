@@ -22,10 +22,18 @@ fn command(enable: bool, request: bool, gate: Gate) -> Event {
     }
 }
 
+impl Safety {
+    /// What a step makes of it.
+    fn stepped(mut self, event: Event, now: u64) -> (Safety, Effects) {
+        let effects = self.step(event, now);
+        (self, effects)
+    }
+}
+
 /// A step, and the server's reaction when it opens the gate. Every step is checked against the
 /// invariants.
 fn step(machine: Safety, event: Event, now: u64) -> (Safety, Effects) {
-    let (mut after, effects) = machine.step(event, now);
+    let (mut after, effects) = machine.stepped(event, now);
     if effects.order == Some(Control::Arm) {
         after.opens(GRACE, now as u32);
     }
@@ -157,7 +165,7 @@ fn every_state_meets_every_event_and_no_invariant_breaks() {
     for &machine in machines {
         for event in all_events() {
             for now in [0, 1, u64::from(GRACE), LONG, u64::MAX] {
-                let _ = machine.step(event, now); // it panics if an invariant breaks
+                let _ = machine.stepped(event, now); // it panics if an invariant breaks
             }
         }
     }
@@ -176,7 +184,7 @@ fn steady_says_yes_only_where_a_full_step_would_change_nothing_and_execute() {
                 continue;
             };
             if machine.steady(enable, request, gate) {
-                let (after, effects) = machine.step(event, 5);
+                let (after, effects) = machine.stepped(event, 5);
                 assert_eq!(after, machine, "{event:?}");
                 assert_eq!(
                     effects,
@@ -190,7 +198,7 @@ fn steady_says_yes_only_where_a_full_step_would_change_nothing_and_execute() {
     }
     assert!(
         armed()
-            .step(command(true, true, LIVE), 0)
+            .stepped(command(true, true, LIVE), 0)
             .0
             .steady(true, true, LIVE)
     );
@@ -206,7 +214,7 @@ fn waiting_says_yes_only_where_a_full_step_would_do_nothing() {
             };
             if machine.waiting(request, gate) {
                 assert_eq!(
-                    machine.step(event, 5),
+                    machine.stepped(event, 5),
                     (machine, Effects::NONE),
                     "{event:?}"
                 );
@@ -237,7 +245,7 @@ proptest! {
 fn arming_takes_session_enable_an_edge_and_a_fresh_command_after_it() {
     let machine = run(&ready());
     assert_eq!(machine.state(), State::Disarmed);
-    let (machine, effects) = machine.step(command(true, true, CLOSED), 0);
+    let (machine, effects) = machine.stepped(command(true, true, CLOSED), 0);
     assert_eq!(machine.state(), State::Armed);
     assert_eq!((effects.order, effects.execute), (Some(Control::Arm), true));
 }
@@ -246,7 +254,7 @@ fn arming_takes_session_enable_an_edge_and_a_fresh_command_after_it() {
 fn a_request_that_was_high_from_the_start_never_arms() {
     let mut machine = run(&[BOOTED, Event::Acquired]);
     for _ in 0..10 {
-        machine = machine.step(command(true, true, CLOSED), 0).0;
+        machine = machine.stepped(command(true, true, CLOSED), 0).0;
     }
     assert_eq!(machine.state(), State::Disarmed);
 }
@@ -259,8 +267,8 @@ fn without_enable_the_edge_is_used_up() {
         command(false, false, CLOSED),
         command(false, true, CLOSED),
     ]);
-    let (machine, _) = machine.step(command(false, true, CLOSED), 0);
-    let (machine, _) = machine.step(command(true, true, CLOSED), 0);
+    let (machine, _) = machine.stepped(command(false, true, CLOSED), 0);
+    let (machine, _) = machine.stepped(command(true, true, CLOSED), 0);
     assert_eq!(machine.state(), State::Disarmed);
 }
 
@@ -275,7 +283,7 @@ fn a_wrong_abi_never_arms_and_says_why() {
         Event::Acquired,
     ]);
     for level in [false, true, true, false, true, true] {
-        machine = machine.step(command(true, level, CLOSED), 0).0;
+        machine = machine.stepped(command(true, level, CLOSED), 0).0;
     }
     assert_eq!(
         (machine.state(), machine.reason()),
@@ -285,16 +293,16 @@ fn a_wrong_abi_never_arms_and_says_why() {
 
 #[test]
 fn a_bite_ends_the_session_and_commands_without_a_resync_do_nothing() {
-    let (machine, effects) = armed().step(Event::Gate(BITTEN_STOPPING), 0);
+    let (machine, effects) = armed().stepped(Event::Gate(BITTEN_STOPPING), 0);
     assert!(effects.end_session);
     assert_eq!(
         (machine.state(), machine.reason()),
         (State::Stopping, FaultReason::Watchdog)
     );
-    let (mut machine, _) = machine.step(Event::Gate(BITTEN), 1);
+    let (mut machine, _) = machine.stepped(Event::Gate(BITTEN), 1);
     assert_eq!(machine.state(), State::Faulted);
     for level in [false, true, true] {
-        machine = machine.step(command(true, level, BITTEN), 2).0;
+        machine = machine.stepped(command(true, level, BITTEN), 2).0;
     }
     assert_eq!(
         machine.state(),
@@ -305,44 +313,44 @@ fn a_bite_ends_the_session_and_commands_without_a_resync_do_nothing() {
 
 #[test]
 fn after_a_bite_a_resync_and_a_new_edge_bring_it_back() {
-    let mut machine = armed().step(Event::Gate(BITTEN), 0).0;
-    machine = machine.step(Event::Acquired, 1).0;
-    machine = machine.step(command(true, false, BITTEN), 2).0;
-    let (machine, effects) = machine.step(command(true, true, BITTEN), 3);
+    let mut machine = armed().stepped(Event::Gate(BITTEN), 0).0;
+    machine = machine.stepped(Event::Acquired, 1).0;
+    machine = machine.stepped(command(true, false, BITTEN), 2).0;
+    let (machine, effects) = machine.stepped(command(true, true, BITTEN), 3);
     assert_eq!(effects.order, Some(Control::Clear));
     assert_eq!(
         (machine.state(), machine.reason()),
         (State::Disarmed, FaultReason::Watchdog)
     );
-    let (machine, effects) = machine.step(command(true, true, CLOSED), 4);
+    let (machine, effects) = machine.stepped(command(true, true, CLOSED), 4);
     assert_eq!(effects.order, Some(Control::Arm));
     assert_eq!(machine.reason(), FaultReason::None);
 }
 
 #[test]
 fn after_a_bite_a_request_still_high_does_not_rearm() {
-    let mut machine = armed().step(Event::Gate(BITTEN), 0).0;
-    machine = machine.step(Event::Acquired, 1).0;
+    let mut machine = armed().stepped(Event::Gate(BITTEN), 0).0;
+    machine = machine.stepped(Event::Acquired, 1).0;
     for _ in 0..5 {
-        machine = machine.step(command(true, true, BITTEN), 2).0;
+        machine = machine.stepped(command(true, true, BITTEN), 2).0;
     }
     assert_eq!(machine.state(), State::Faulted);
 }
 
 #[test]
 fn an_external_reset_faults_at_once_and_holds_until_the_pin_is_low() {
-    let (mut machine, effects) = armed().step(Event::Gate(RESET_HIGH), 0);
+    let (mut machine, effects) = armed().stepped(Event::Gate(RESET_HIGH), 0);
     assert_eq!(effects.order, Some(Control::Close));
     assert_eq!(machine.reason(), FaultReason::ExternalReset);
     assert!(!machine.position_trusted());
     for level in [false, true, true] {
-        machine = machine.step(command(true, level, RESET_HIGH), 1).0;
+        machine = machine.stepped(command(true, level, RESET_HIGH), 1).0;
     }
     assert_eq!(machine.state(), State::Faulted);
-    machine = machine.step(Event::Acquired, 2).0;
-    machine = machine.step(command(true, false, RESET_LATCHED), 2).0;
-    machine = machine.step(command(true, true, RESET_LATCHED), 2).0;
-    machine = machine.step(command(true, true, CLOSED), 3).0;
+    machine = machine.stepped(Event::Acquired, 2).0;
+    machine = machine.stepped(command(true, false, RESET_LATCHED), 2).0;
+    machine = machine.stepped(command(true, true, RESET_LATCHED), 2).0;
+    machine = machine.stepped(command(true, true, CLOSED), 3).0;
     assert_eq!(machine.state(), State::Armed);
     assert!(
         machine.position_trusted(),
@@ -352,11 +360,11 @@ fn an_external_reset_faults_at_once_and_holds_until_the_pin_is_low() {
 
 #[test]
 fn taking_enable_away_stops_softly_and_is_no_fault() {
-    let (machine, effects) = armed().step(command(false, true, LIVE), 0);
+    let (machine, effects) = armed().stepped(command(false, true, LIVE), 0);
     assert_eq!(effects.order, Some(Control::SoftStop));
     assert!(!effects.execute);
     assert_eq!(machine.state(), State::Stopping);
-    let (machine, _) = machine.step(Event::Gate(CLOSED), 10);
+    let (machine, _) = machine.stepped(Event::Gate(CLOSED), 10);
     assert_eq!(
         (machine.state(), machine.reason()),
         (State::Disarmed, FaultReason::HostDisable)
@@ -366,9 +374,9 @@ fn taking_enable_away_stops_softly_and_is_no_fault() {
 
 #[test]
 fn a_released_session_stops_the_machine() {
-    let (machine, effects) = armed().step(Event::Lost, 0);
+    let (machine, effects) = armed().stepped(Event::Lost, 0);
     assert_eq!(effects.order, Some(Control::SoftStop));
-    let machine = machine.step(Event::Gate(CLOSED), 10).0;
+    let machine = machine.stepped(Event::Gate(CLOSED), 10).0;
     assert_eq!(
         (machine.state(), machine.reason()),
         (State::Faulted, FaultReason::SessionLost)
@@ -377,8 +385,8 @@ fn a_released_session_stops_the_machine() {
 
 #[test]
 fn a_stop_that_never_ends_is_ended() {
-    let machine = armed().step(command(false, true, LIVE), 5).0;
-    let (machine, effects) = machine.step(Event::Gate(Gate(0b10_0011)), 5 + LONG);
+    let machine = armed().stepped(command(false, true, LIVE), 5).0;
+    let (machine, effects) = machine.stepped(Event::Gate(Gate(0b10_0011)), 5 + LONG);
     assert_eq!(effects.order, Some(Control::Close));
     assert!(!machine.position_trusted());
     assert_eq!(machine.state(), State::Disarmed);
@@ -386,7 +394,7 @@ fn a_stop_that_never_ends_is_ended() {
 
 #[test]
 fn an_e_stop_stops_hard_and_holds_until_the_input_is_idle_and_an_edge_clears_it() {
-    let (mut machine, effects) = armed().step(Event::Gate(ESTOP_ACTIVE), 0);
+    let (mut machine, effects) = armed().stepped(Event::Gate(ESTOP_ACTIVE), 0);
     assert_eq!(effects.order, Some(Control::Close));
     assert!(!effects.end_session, "the host has to tell its operator");
     assert_eq!(
@@ -394,27 +402,27 @@ fn an_e_stop_stops_hard_and_holds_until_the_input_is_idle_and_an_edge_clears_it(
         (State::Faulted, FaultReason::EStop)
     );
     assert!(!machine.position_trusted());
-    machine = machine.step(Event::Acquired, 1).0;
+    machine = machine.stepped(Event::Acquired, 1).0;
     for level in [false, true, true] {
-        machine = machine.step(command(true, level, ESTOP_ACTIVE), 1).0;
+        machine = machine.stepped(command(true, level, ESTOP_ACTIVE), 1).0;
     }
     assert_eq!(machine.state(), State::Faulted);
-    machine = machine.step(command(true, true, ESTOP_LATCHED), 2).0;
+    machine = machine.stepped(command(true, true, ESTOP_LATCHED), 2).0;
     assert_eq!(machine.state(), State::Faulted, "a level is no edge");
-    machine = machine.step(command(true, false, ESTOP_LATCHED), 3).0;
-    let (machine, effects) = machine.step(command(true, true, ESTOP_LATCHED), 4);
+    machine = machine.stepped(command(true, false, ESTOP_LATCHED), 3).0;
+    let (machine, effects) = machine.stepped(command(true, true, ESTOP_LATCHED), 4);
     assert_eq!(effects.order, Some(Control::Clear));
     assert_eq!(machine.reason(), FaultReason::EStop);
     assert_eq!(
-        machine.step(command(true, true, CLOSED), 5).0.state(),
+        machine.stepped(command(true, true, CLOSED), 5).0.state(),
         State::Armed
     );
 }
 
 #[test]
 fn an_e_stop_during_a_soft_stop_is_the_reason() {
-    let machine = armed().step(command(false, true, LIVE), 0).0;
-    let machine = machine.step(Event::Gate(ESTOP_ACTIVE), 1).0;
+    let machine = armed().stepped(command(false, true, LIVE), 0).0;
+    let machine = machine.stepped(Event::Gate(ESTOP_ACTIVE), 1).0;
     assert_eq!(
         (machine.state(), machine.reason()),
         (State::Faulted, FaultReason::EStop)
@@ -425,10 +433,10 @@ fn an_e_stop_during_a_soft_stop_is_the_reason() {
 fn an_e_stop_while_disarmed_keeps_it_from_arming_until_cleared() {
     let mut machine = run(&[BOOTED, Event::Acquired]);
     for gate in [ESTOP_ACTIVE, ESTOP_LATCHED] {
-        machine = machine.step(command(true, false, gate), 0).0;
-        let (edge, effects) = machine.step(command(true, true, gate), 0);
+        machine = machine.stepped(command(true, false, gate), 0).0;
+        let (edge, effects) = machine.stepped(command(true, true, gate), 0);
         assert_eq!(effects.order, Some(Control::Clear));
-        machine = edge.step(command(true, true, gate), 0).0;
+        machine = edge.stepped(command(true, true, gate), 0).0;
         assert_eq!(machine.state(), State::Disarmed);
     }
 }
@@ -557,7 +565,7 @@ fn the_hosts_own_stop_is_no_fault_and_needs_no_resync() {
 #[test]
 fn an_open_gate_at_rest_is_closed_before_anything_is_cleared() {
     let machine = run(&[BOOTED, Event::Acquired, command(true, false, CLOSED)]);
-    let (_, effects) = machine.step(command(true, true, BITTEN_STOPPING), 0);
+    let (_, effects) = machine.stepped(command(true, true, BITTEN_STOPPING), 0);
     assert_eq!(effects.order, Some(Control::Close));
 }
 

@@ -53,12 +53,12 @@ impl Judge<'_> {
                     .prove(self.peer, Purpose::Acquire, &[value], self.answer)?;
                 self.session
                     .acquire(self.peer, value, self.boot_id, self.now)?;
-                self.safety = self.safety.step(Event::Acquired, self.now).0;
+                let _ = self.safety.step(Event::Acquired, self.now);
                 Ok(())
             }
             map::SESSION_RELEASE => {
                 self.session.release(self.peer, value)?;
-                self.safety = self.safety.step(Event::Lost, self.now).0;
+                let _ = self.safety.step(Event::Lost, self.now);
                 Ok(())
             }
             map::SESSION_REBOOT => {

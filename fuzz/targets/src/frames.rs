@@ -354,36 +354,33 @@ impl Station<'_> {
         let frame = Received(bytes);
         let length = bytes.len();
         let us = self.machine.us;
-        let class = net::classify(&frame, length, &us, &PORTS);
+        let mut payload = [0; MAX_WORDS];
+        let class = net::classify(&frame, length, &us, &PORTS, &mut payload);
         self.machine.board().take();
         if self.gateware(bytes, class) {
             self.machine.alone();
         } else {
             self.machine.received();
-            self.long_way(bytes, class);
+            self.long_way(bytes, class, &payload);
         }
         self.offer();
     }
 
     /// The firmware's part.
-    fn long_way(&mut self, bytes: &[u8], class: Class) {
-        let frame = Received(bytes);
+    fn long_way(&mut self, bytes: &[u8], class: Class, payload: &[u32; MAX_WORDS]) {
         let us = self.machine.us;
         match class {
             Class::Ours(datagram) => {
-                let words = payload(&frame, &datagram, bytes);
-                if datagram.length.is_multiple_of(4) {
-                    self.datagram(&datagram, &words);
-                }
+                self.datagram(&datagram, taken(payload, &datagram, bytes));
             }
             Class::Discovery(datagram) => {
-                let words = payload(&frame, &datagram, bytes);
+                let words = taken(payload, &datagram, bytes);
                 let mut buffer = [0; MAX_WORDS];
                 let port = datagram.peer.port;
                 let answer = self
                     .machine
                     .guest()
-                    .discover(&words, port, &mut buffer)
+                    .discover(words, port, &mut buffer)
                     .to_vec();
                 let us = Us {
                     port: wire::DISCOVERY_PORT,
@@ -516,18 +513,22 @@ impl Station<'_> {
 }
 
 /// The words of a datagram's payload, which lies inside its frame.
-fn payload(frame: &Received, datagram: &Datagram, bytes: &[u8]) -> Vec<u32> {
+fn taken<'p>(payload: &'p [u32; MAX_WORDS], datagram: &Datagram, bytes: &[u8]) -> &'p [u32] {
     let from = HEADERS + 4 * datagram.options;
     assert!(
         from + datagram.length <= bytes.len(),
         "{datagram:?} in a frame of {} bytes",
         bytes.len()
     );
-    assert!(datagram.length <= MAX_PAYLOAD);
-    let count = datagram.length.div_ceil(4);
-    (0..count)
-        .map(|index| net::payload_word(frame, datagram.options, index))
-        .collect()
+    assert!(datagram.length <= MAX_PAYLOAD && datagram.length.is_multiple_of(4));
+    let words = &payload[..datagram.length / 4];
+    let theirs = bytes[from..].as_chunks().0;
+    let same = words
+        .iter()
+        .zip(theirs)
+        .all(|(word, bytes)| *word == u32::from_be_bytes(*bytes));
+    assert!(same, "{datagram:?}: not the payload of its frame");
+    words
 }
 
 /// Sends words, and checks the frame.

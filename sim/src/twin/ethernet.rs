@@ -62,12 +62,17 @@ impl Twin {
             Some(_) => services::PORTS,
             None => UdpPorts::default(),
         };
-        match net::classify(&frame, bytes.len(), &self.machine.us, &ports) {
+        let mut payload = [0; MAX_WORDS];
+        let us = &self.machine.us;
+        match net::classify(&frame, bytes.len(), us, &ports, &mut payload) {
             Class::Ours(datagram) => {
-                let answer = self.datagram(&frame, &datagram);
+                let answer = self.datagram(&payload[..datagram.length / 4], &datagram);
                 (answer, self.machine.session().is_owner(datagram.peer))
             }
-            Class::Discovery(datagram) => (self.discover(&frame, &datagram), false),
+            Class::Discovery(datagram) => {
+                let words = &payload[..datagram.length / 4];
+                (self.discover(words, datagram.peer.port), false)
+            }
             Class::Refused(why) => {
                 self.machine.refuse(why);
                 (None, false)
@@ -84,21 +89,12 @@ impl Twin {
         }
     }
 
-    /// The words of a datagram.
-    fn words(&mut self, frame: &Received, datagram: &Datagram) -> Option<Vec<u32>> {
-        let count = net::payload_words(datagram.length);
-        let count = count.inspect_err(|why| self.machine.refuse(*why)).ok()?;
-        let word = |index| net::payload_word(frame, datagram.options, index);
-        Some((0..count).map(word).collect())
-    }
-
-    fn datagram(&mut self, frame: &Received, datagram: &Datagram) -> Option<Vec<u8>> {
-        let words = self.words(frame, datagram)?;
+    fn datagram(&mut self, words: &[u32], datagram: &Datagram) -> Option<Vec<u8>> {
         let mut buffer = [0; MAX_WORDS];
         let peer = datagram.peer;
         let reply = match self.machine.session().is_owner(peer) {
-            true => self.machine.alone().datagram(&words, peer, &mut buffer),
-            false => self.machine.guest().datagram(&words, peer, &mut buffer),
+            true => self.machine.alone().datagram(words, peer, &mut buffer),
+            false => self.machine.guest().datagram(words, peer, &mut buffer),
         };
         self.judge_ahead_for(datagram);
         let reply = reply.ok().filter(|reply| !reply.is_empty())?;
@@ -106,10 +102,9 @@ impl Twin {
         Some(framed(&self.machine.us, datagram, reply))
     }
 
-    fn discover(&mut self, frame: &Received, datagram: &Datagram) -> Option<Vec<u8>> {
-        let words = self.words(frame, datagram)?;
-        let (port, mut buffer) = (datagram.peer.port, [0; MAX_WORDS]);
-        let reply = self.machine.guest().discover(&words, port, &mut buffer);
+    fn discover(&mut self, words: &[u32], port: u16) -> Option<Vec<u8>> {
+        let mut buffer = [0; MAX_WORDS];
+        let reply = self.machine.guest().discover(words, port, &mut buffer);
         (!reply.is_empty()).then(|| {
             self.machine.sent(1);
             let us = Us {

@@ -157,25 +157,20 @@ impl App {
     fn frame(&mut self) -> bool {
         let (frame, length) = self.mac.frame();
         self.machine.received();
-        match net::classify(&frame, length, &self.machine.us, &self.ports) {
+        let payload = self.mac.input.words();
+        match net::classify(&frame, length, &self.machine.us, &self.ports, payload) {
             Class::Ours(ref datagram) => {
-                let words = self.copy_payload(datagram);
                 self.mac.dismiss();
                 let owner = self.machine.session().is_owner(datagram.peer);
-                match words {
-                    Ok(_) if !owner && self.yields() => {}
-                    Ok(count) => self.datagram(datagram, count),
-                    Err(why) => self.machine.refuse(why),
+                if owner || !self.yields() {
+                    self.datagram(datagram, owner);
                 }
                 return self.machine.session().is_owner(datagram.peer);
             }
             Class::Discovery(datagram) => {
-                let words = self.copy_payload(&datagram);
                 self.mac.dismiss();
-                match words {
-                    Ok(_) if self.yields() => {}
-                    Ok(count) => self.discover(count, datagram.peer.port),
-                    Err(why) => self.machine.refuse(why),
+                if !self.yields() {
+                    self.discover(&datagram);
                 }
             }
             Class::Refused(why) => {
@@ -231,20 +226,11 @@ impl App {
             .is_some_and(|(datagram, _)| net::sender(frame) == datagram.mac)
     }
 
-    fn copy_payload(&mut self, datagram: &Datagram) -> Result<usize, Refusal> {
-        let count = net::payload_words(datagram.length)?;
-        let (frame, _) = self.mac.frame();
-        for (index, word) in self.mac.input.words().iter_mut().take(count).enumerate() {
-            *word = net::payload_word(&frame, datagram.options, index);
-        }
-        Ok(count)
-    }
-
-    fn datagram(&mut self, datagram: &Datagram, count: usize) {
+    fn datagram(&mut self, datagram: &Datagram, owner: bool) {
         let Mac { input, output, .. } = &mut self.mac;
-        let words = input.words().get(..count).unwrap_or(&[]);
+        let words = input.words().get(..datagram.length / 4).unwrap_or(&[]);
         let peer = datagram.peer;
-        let served = match self.machine.session().is_owner(peer) {
+        let served = match owner {
             true => self.machine.alone().datagram(words, peer, output.words()),
             false => self.machine.guest().datagram(words, peer, output.words()),
         };
@@ -285,9 +271,10 @@ impl App {
     }
 
     /// A host looks for boards, or gives a board its settings.
-    fn discover(&mut self, count: usize, port: u16) {
+    fn discover(&mut self, datagram: &Datagram) {
         let Mac { input, output, .. } = &mut self.mac;
-        let words = input.words().get(..count).unwrap_or(&[]);
+        let words = input.words().get(..datagram.length / 4).unwrap_or(&[]);
+        let port = datagram.peer.port;
         let reply = self.machine.guest().discover(words, port, output.words());
         let reply = reply.len();
         if reply != 0 {
