@@ -25,6 +25,11 @@ fn is_write(payload: &[u8]) -> bool {
             .is_some_and(|wcount| *wcount != 0)
 }
 
+/// The datagram reads, and writes nothing.
+pub fn is_read(payload: &[u8]) -> bool {
+    payload.starts_with(&[0x4e, 0x6f]) && !is_write(payload) && wants_reply(payload)
+}
+
 /// The datagram carries a command block (well-formed or not): an Etherbone write based at the
 /// COMMAND window.
 pub fn is_request(payload: &[u8]) -> bool {

@@ -9,16 +9,19 @@
 //!
 //! *Lockstep*: simulated time stands still until the host sends an exchange, then advances by
 //! exactly one servo period. So LinuxCNC sees a board with a perfect clock, even on a slow machine.
-//! Other datagrams advance time until their answer is out. A host that falls silent in the middle
-//! of a session must count as dead: after [`Options::silence`] of the machine's time the board runs
-//! on by itself for [`Options::orphan_clocks`].
+//! Other datagrams advance time until their answer is out. Only what the host reads between two
+//! exchanges is behind the second one on the wire, where a real host would have sent it: at the end
+//! of a period it would stand in the way of the exchange. A host that falls silent in the middle of
+//! a session must count as dead: after [`Options::silence`] of the machine's time the board runs on
+//! by itself for [`Options::orphan_clocks`].
 //!
 //! *Free*: time runs as fast as it can, or paced.
 //!
-//! The only inspection of a datagram is whether it is an exchange.
+//! The only inspection of a datagram is whether it is an exchange, or reads.
 
 mod cable;
 mod device;
+mod lockstep;
 
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
@@ -29,7 +32,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, TryRecvError, channel};
 use std::time::{Duration, Instant};
 
-use crate::exchange::{Spread, is_request};
+use crate::exchange::Spread;
 use crate::faults::{Direction, Plan, WORDS};
 use crate::segment::{CONSOLE_PORT, Nat};
 
@@ -124,6 +127,9 @@ pub struct Server<D: Device> {
     period_end: u64,
     /// When the host last made an exchange, and whether the silence since has been acted on.
     last_exchange: Option<Instant>,
+    /// Lockstep: which host made it, and what it has asked since.
+    exchanger: Option<SocketAddr>,
+    asked: Vec<Vec<u8>>,
     /// Lockstep: the board runs by itself until this sys clock.
     orphan_until: u64,
     /// Paced: since when, and from which sys clock, both clocks are compared.
@@ -207,6 +213,8 @@ impl<D: Device> Server<D> {
             quit: false,
             period_end,
             last_exchange: None,
+            exchanger: None,
+            asked: Vec::new(),
             orphan_until: 0,
             pace_from: None,
         };
@@ -295,59 +303,6 @@ impl<D: Device> Server<D> {
             }
         }
         self.rig
-    }
-
-    fn lockstep(&mut self, period: u64) {
-        let silent = self
-            .last_exchange
-            .is_some_and(|at| at.elapsed() >= self.options.silence);
-        if silent {
-            self.last_exchange = None;
-            self.orphan_until = self.rig.clock() + self.options.orphan_clocks;
-            eprintln!(
-                "sim: no exchange for {:?}, the board runs on by itself",
-                self.options.silence
-            );
-        }
-        let event = if self.rig.clock() < self.orphan_until {
-            self.pass(self.rig.clock() + SLICE);
-            self.events
-                .try_recv()
-                .map_err(|e| e == TryRecvError::Disconnected)
-        } else {
-            let until_silence = self
-                .last_exchange
-                .map(|at| self.options.silence.saturating_sub(at.elapsed()))
-                .unwrap_or(Duration::MAX);
-            // A fifth of a second at most: signals are looked at in between.
-            let wait = until_silence.min(Duration::from_millis(200));
-            self.events
-                .recv_timeout(wait)
-                .map_err(|e| e == RecvTimeoutError::Disconnected)
-        };
-        match event {
-            Ok(Event::Datagram(Service::Etherbone, sender, payload)) if is_request(&payload) => {
-                // A period starts where the last one ended, unless time has been moved by something
-                // else since.
-                let start = self.rig.clock().max(self.period_end);
-                self.pass(start);
-                self.period_end = start + period;
-                self.orphan_until = 0;
-                self.post(Service::Etherbone, sender, &payload);
-                self.pass(self.period_end);
-                self.last_exchange = Some(Instant::now());
-            }
-            Ok(Event::Datagram(service, sender, payload)) => {
-                let port = self.post(service, sender, &payload);
-                let until = self.rig.clock() + self.rig.wait_for(service, &payload);
-                while self.rig.clock() < until && !self.pass_frame(until).contains(&port) {}
-            }
-            Ok(event) => {
-                self.handle(event);
-                self.settle_consoles();
-            }
-            Err(disconnected) => self.quit |= disconnected,
-        }
     }
 
     fn free(&mut self, pace: Option<f64>) {

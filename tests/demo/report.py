@@ -23,6 +23,8 @@ AXES = "xyz"
 EDGE = np.dtype([("clock", "<u8"), ("count", "<i4"), ("channel", "u1"), ("forward", "u1"), ("zero", "<u2")])
 # The command of servo period k is for its end; what was sampled there is read two rows later.
 ROWS_TO_ARRIVAL = 2
+# Clocks from the last byte of a command to the first of its answer, if the gateware answers.
+FAST = 20
 # samples.csv has six places behind the point, in mm.
 ROUNDING = 0.5e-6
 
@@ -134,6 +136,11 @@ def analyse(samples, edges, simulator, result):
     exchange = simulator["exchange"]
     report["exchange"] = {key: exchange[key] for key in ("turnaround_cycles", "frames_lost", "frames_refused")}
     report["exchange"]["count"] = exchange["answered"]
+    report["exchange"]["long_way"] = [
+        {"exchange": n + 1, "cycles": cycles} for n, cycles in enumerate(exchange["turnaround_list"]) if cycles > FAST
+    ]
+    # The board's own word for the last of them.
+    report["exchange"]["long_way_reason"] = simulator["board"]["long_way"] if simulator["board"] else None
     # The margin of the command that armed the board is that of a watchdog still asleep.
     armed = (samples["enabled"] > 0) & (np.roll(samples["enabled"], 2) > 0)
     margins = samples["margin_ns"][armed]
@@ -200,6 +207,11 @@ def table(report):
         f"clocks (min/median/max), {exchange['frames_lost']} frames lost, {exchange['frames_refused']} refused; "
         f"watchdog margin at least {report['watchdog']['margin_min_ms']:.2f} ms; "
         f"{report['machine_seconds']:.1f} s of machine time at {report['kcycles_per_second']:.0f} kclocks/s"
+    )
+    slow = exchange["long_way"]
+    print(
+        f"{exchange['count'] - len(slow)} of them were executed and answered by the gateware alone; through the firmware went "
+        + (", ".join(f"number {way['exchange']} ({way['cycles']} clocks)" for way in slow) or "none")
     )
 
 

@@ -270,7 +270,7 @@ fn dearest(machine: &mut BenchMachine, command: &mut Command, lines: &[&str]) ->
 
 /// An exchange that comes so soon behind the one before that its pass is not out yet waits for the
 /// turn of the services, and is answered so many clocks behind the longest one at most. Measured
-/// are 12 308, of which the long way takes up to 8700.
+/// are 12 308, of which the long way took up to 8700.
 const BEHIND_A_TURN: u64 = 14_000;
 /// Such an exchange, in clocks behind the answer before; [`BOUND`] holds for one that comes later.
 const TOO_SOON: u64 = 300;

@@ -121,6 +121,10 @@ fn client(to: SocketAddr) -> UdpSocket {
 
 fn talk(socket: &UdpSocket, payload: &[u8]) -> Vec<u8> {
     socket.send(payload).unwrap();
+    hear(socket)
+}
+
+fn hear(socket: &UdpSocket) -> Vec<u8> {
     let mut buffer = [0; 2048];
     let n = socket.recv(&mut buffer).unwrap();
     buffer[..n].to_vec()
@@ -179,6 +183,32 @@ fn lockstep_gives_each_exchange_one_period() {
     assert_eq!(rig.meter.requested, 11);
     assert_eq!(rig.pins().ext_reset, 1);
     assert!(!stop.load(Ordering::Relaxed));
+}
+
+/// A record that reads one word.
+fn question() -> Vec<u8> {
+    [0x4e6f_1000, 0, 0x0000_0001, 0, 0x1234]
+        .iter()
+        .flat_map(|w: &u32| w.to_be_bytes())
+        .collect()
+}
+
+#[test]
+fn what_a_host_reads_between_two_exchanges_is_on_the_wire_behind_the_second() {
+    let (udp, _, stop, thread) = serve(Mode::Lockstep { period: 5000 });
+    let a = client(udp);
+    assert_eq!(talk(&a, &exchange(1)), exchange(1));
+    a.send(&question()).unwrap();
+    a.send(&exchange(2)).unwrap();
+    assert_eq!(hear(&a), exchange(2));
+    assert_eq!(hear(&a), question());
+    assert_eq!(talk(&a, &exchange(3)), exchange(3));
+    // Without another exchange it is answered, too.
+    assert_eq!(talk(&a, &question()), question());
+    stop.store(true, Ordering::Relaxed);
+    let rig = thread.join().unwrap();
+    let last = rig.clock() - 32 - 3 * 5000;
+    assert!((60..=6000).contains(&last), "{last}");
 }
 
 #[test]
