@@ -476,11 +476,10 @@ impl Safety {
             self.position_trusted &= !self.may_be_cut(now);
             State::Faulted
         };
-        let effects = Effects {
+        Effects {
             end_session: true,
             ..Effects::NONE
-        };
-        effects
+        }
     }
 
     /// A pin closed the gate in the middle of a step.
