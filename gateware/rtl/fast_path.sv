@@ -26,8 +26,8 @@
 // clocks, so that the sampled words are complete when they are read, and at most 15, so that they
 // are written before the slot's reader needs them.
 //
-// The banks keep the address of a read in flip-flops, so `gathers_next` and `from_next` say what the
-// next clock gathers.
+// The banks keep the address of a read in flip-flops: `gathers_next` and `from_next` say what
+// the next clock gathers.
 //
 `default_nettype none
 module fast_path #(
