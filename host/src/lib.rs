@@ -28,7 +28,9 @@
 //! | [`update`] | a new image over the network |
 //! | [`flash_file`] | a whole flash image, before it is written by JTAG |
 //! | [`jtag`] | runs openFPGALoader |
+//! | [`doctor`] | what of this computer makes exchanges late or lost, with remedies |
 //! | [`selftest`] | tests of a new board and its wiring, with remedies |
+//! | [`finding`] | what those two found, as text and JSON |
 //! | [`job`] | drawings and programs become jobs, are drawn and checked |
 //! | [`hal`] | typed pins, the real HAL, a HAL in a `Vec` |
 //!
@@ -72,8 +74,12 @@ pub mod client;
 pub mod clock;
 #[cfg(feature = "tool")]
 pub mod discovery;
+#[cfg(feature = "tool")]
+pub mod doctor;
 pub mod driver;
 pub mod fence;
+#[cfg(feature = "tool")]
+pub mod finding;
 #[cfg(feature = "tool")]
 pub mod flash;
 #[cfg(feature = "tool")]

@@ -5,7 +5,7 @@ mod common;
 mod ferrocnc_tool;
 
 use common::{FakeBoard, Time};
-use ferrocnc_tool::{answer, complaint};
+use ferrocnc_tool::{answer, complaint, tool};
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
 
@@ -63,6 +63,33 @@ fn watch_shows_the_status_without_taking_the_session() {
     assert_eq!(json["ways"]["long"], 80);
     assert!(board.look().owner.is_none());
     assert_eq!(board.look().exchanges, 0);
+}
+
+#[test]
+fn the_doctor_looks_at_this_computer_and_at_the_board_and_takes_no_session() {
+    let board = board();
+    board.look().knobs.ways = [3, 4000, 5];
+    let file = std::env::temp_dir().join(format!("ferrocnc-doctor-{}.json", std::process::id()));
+    // This computer may be bad; the report is written first.
+    let arguments = ["doctor", &board.text(), "--report", file.to_str().unwrap()];
+    let _ = tool(&arguments);
+    let text = std::fs::read_to_string(&file).unwrap();
+    std::fs::remove_file(&file).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let found = |check: &str| {
+        let all = report["findings"].as_array().unwrap();
+        let one = all.iter().find(|finding| finding["check"] == check);
+        one.unwrap_or_else(|| panic!("{check} missing in {text}"))
+            .clone()
+    };
+    assert_eq!(found("port")["fact"], "lo, this computer itself");
+    assert_eq!(found("exchanges")["verdict"], "note");
+    let remedy = found("exchanges")["remedy"].as_str().unwrap().to_owned();
+    assert!(remedy.contains("TOS or TTL"), "{remedy}");
+    for check in ["real-time kernel", "clock", "release"] {
+        found(check);
+    }
+    assert!(board.look().owner.is_none());
 }
 
 #[test]

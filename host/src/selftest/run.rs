@@ -3,7 +3,7 @@
 
 use super::drive::{DriveError, Driven, Pins};
 use super::loops::{Loop, Sink, Source, judge_counts, judge_levels, judge_output, judge_rest};
-use super::{Finding, Report, Time, board, clock, flash, gather, link, ways};
+use super::{Finding, Report, Time, board, clock, flash, gather, link, report_of, ways};
 use crate::client::{Client, ClientError, Identity, Owner};
 use std::net::SocketAddrV4;
 use std::time::Duration;
@@ -112,7 +112,7 @@ pub struct Bench<'b> {
 
 /// Tests the board.
 pub fn run(identity: &Identity, plan: &Plan, bench: &mut Bench<'_>) -> Report {
-    let mut report = Report::of(identity);
+    let mut report = report_of(identity);
     if let Err(lost) = look(identity, plan, bench, &mut report.findings) {
         report.findings.push(silent(&lost));
         return report;

@@ -8,6 +8,7 @@ mod config;
 mod console;
 mod describe;
 mod discover;
+mod doctor;
 mod flash;
 mod job;
 mod key;
@@ -94,6 +95,9 @@ enum Command {
     /// Is this board all right? Looks at memory, flash, link and clock; with --outputs and --loop
     /// at pins and jumpers, too.
     Selftest(selftest::Selftest),
+    /// What of this computer makes exchanges late or loses them: kernel, processors, network port,
+    /// addresses. It only reads, and needs no root.
+    Doctor(doctor::Doctor),
     /// A new bitstream over the network: written, verified, selected for the next power-up.
     Update(update::Update),
     /// Flash by JTAG: once in a board's life, then it is updated over the network.
@@ -149,6 +153,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         Command::Discover(arguments) => discover::run(arguments, json),
         Command::Set(arguments) => set::run(arguments, json),
         Command::Selftest(arguments) => selftest::run(arguments, json),
+        Command::Doctor(arguments) => doctor::run(arguments, json),
         Command::Update(arguments) => update::run(arguments, json),
         Command::Flash { what } => flash::run(what, json),
         Command::Key(command) => key::run(command, json),

@@ -1,0 +1,106 @@
+//! What of this computer makes exchanges late, or loses them.
+//!
+//! Every check reads: files below `/proc`, `/sys` and a few others, and what `ip`, `ethtool` and
+//! `getcap` print. It needs no root, changes nothing, and takes no session, so it works while
+//! LinuxCNC drives a board. A [`Finding`] says the fact, a verdict, its reason, what to do now, and
+//! what makes that outlast a restart of the computer.
+//!
+//! | module | |
+//! |---|---|
+//! | [`platform`] | kernel, LinuxCNC, its rights, the module |
+//! | [`cpu`] | what keeps a processor from the servo thread |
+//! | [`port`] | the Ethernet port: driver, link, interrupts, power |
+//! | [`network`] | addresses, routes, neighbours on it |
+//! | [`card`] | the board's release, and which way exchanges take |
+//! | [`system`] | where all of them read |
+//!
+//! Where the checks and their limits come from: LinuxCNC's documentation of real time, the manual
+//! page of Mesa's `hm2_eth`, and threads of LinuxCNC's users. A limit of our own says so.
+
+pub mod card;
+pub mod cpu;
+pub mod network;
+pub mod platform;
+pub mod port;
+pub mod system;
+
+use crate::finding::{Finding, Report};
+use std::net::Ipv4Addr;
+use system::System;
+
+/// What is looked at besides the computer itself.
+#[derive(Clone, Debug, Default)]
+pub struct Subject {
+    /// The board's address.
+    pub board: Option<Ipv4Addr>,
+    /// The interface to it, if the routes are not to be asked.
+    pub interface: Option<String>,
+}
+
+/// Looks at everything.
+pub fn examine(system: &System<'_>, subject: &Subject) -> Report {
+    let mut findings = platform::examine(system);
+    findings.extend(cpu::examine(system));
+    let routed = || subject.board.and_then(|ip| network::to(system, ip));
+    match subject.interface.clone().or_else(routed) {
+        Some(interface) => {
+            findings.extend(port::examine(system, &interface));
+            findings.extend(network::examine(system, &interface, subject.board));
+        }
+        None => findings.push(no_interface(subject)),
+    }
+    let kernel = system.read("proc/sys/kernel/osrelease");
+    let processor = system.read("proc/cpuinfo").and_then(|text| {
+        let line = text.lines().find(|line| line.starts_with("model name"))?;
+        Some(line.split_once(": ")?.1.to_owned())
+    });
+    let unknown = || "unknown".to_owned();
+    Report {
+        about: "computer",
+        head: vec![
+            ("tool", env!("CARGO_PKG_VERSION").to_owned()),
+            ("kernel", kernel.unwrap_or_else(unknown)),
+            ("processor", processor.unwrap_or_else(unknown)),
+            (
+                "command line",
+                system.read("proc/cmdline").unwrap_or_else(unknown),
+            ),
+        ],
+        findings,
+    }
+}
+
+/// A report to send to others: without hardware addresses.
+pub fn without_macs(text: &str) -> String {
+    let is_mac = |word: &str| {
+        let bytes: Vec<_> = word.split(':').collect();
+        bytes.len() == 6
+            && bytes
+                .iter()
+                .all(|byte| byte.len() == 2 && u8::from_str_radix(byte, 16).is_ok())
+    };
+    let words = text
+        .split(' ')
+        .map(|word| if is_mac(word) { "MAC" } else { word });
+    words.collect::<Vec<_>>().join(" ")
+}
+
+fn no_interface(subject: &Subject) -> Finding {
+    match subject.board {
+        Some(ip) => Finding::bad(
+            "interface",
+            format!("no route to {ip}"),
+            "no port of this computer has an address in the board's net",
+            "give the port an address, such as `sudo ip addr add 192.168.2.1/24 dev IF`",
+        ),
+        None => Finding::skipped(
+            "interface",
+            "not looked at",
+            "no board and no interface was named",
+            "`ferrocnc doctor BOARD`, or `--interface IF`",
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests;

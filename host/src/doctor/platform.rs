@@ -1,0 +1,197 @@
+//! Kernel, LinuxCNC, its rights, the module.
+
+use super::system::System;
+use crate::finding::Finding;
+
+/// Where LinuxCNC's packages have what runs in real time.
+const RTAPI_APP: &str = "usr/bin/rtapi_app";
+/// Where `loadrt` finds the module.
+const MODULE: &str = "usr/lib/linuxcnc/modules/ferrocnc.so";
+/// What LinuxCNC's package asks for each user, bytes.
+const LOCKED: u64 = 20_480 * 1024;
+/// An ELF file's machine, of this program's processor.
+const MACHINE: u16 = match () {
+    () if cfg!(target_arch = "x86_64") => 62,
+    () if cfg!(target_arch = "aarch64") => 183,
+    () if cfg!(target_arch = "arm") => 40,
+    () if cfg!(target_arch = "riscv64") => 243,
+    () => 0,
+};
+
+/// All checks of this module.
+pub fn examine(system: &System<'_>) -> Vec<Finding> {
+    vec![
+        kernel(system),
+        linuxcnc(system),
+        rights(system),
+        forced(system),
+        module(system),
+        locked(system),
+    ]
+}
+
+fn kernel(system: &System<'_>) -> Finding {
+    let check = "real-time kernel";
+    let version = system.read("proc/version").unwrap_or_default();
+    let realtime = system
+        .read("sys/kernel/realtime")
+        .is_some_and(|it| it == "1")
+        || version.contains("PREEMPT_RT")
+        || version.contains("PREEMPT RT");
+    let release = system.read("proc/sys/kernel/osrelease").unwrap_or_default();
+    if realtime {
+        return Finding::good(check, release);
+    }
+    let package = match std::env::consts::ARCH {
+        "aarch64" => "linux-image-rt-arm64",
+        _ => "linux-image-rt-amd64",
+    };
+    Finding::bad(
+        check,
+        format!("{release} is none"),
+        "another program can hold the servo thread up for milliseconds",
+        &format!("sudo apt install {package}, and start the computer with it"),
+    )
+}
+
+/// The version of an installed package, from dpkg's own list.
+fn installed(system: &System<'_>, name: &str) -> Option<String> {
+    let list = system.read("var/lib/dpkg/status")?;
+    let package = list.split("\n\n").find(|package| {
+        let mut lines = package.lines();
+        lines.next() == Some(&format!("Package: {name}"))
+            && package.contains("\nStatus: install ok installed")
+    })?;
+    let line = package
+        .lines()
+        .find_map(|line| line.strip_prefix("Version: "))?;
+    Some(line.to_owned())
+}
+
+fn linuxcnc(system: &System<'_>) -> Finding {
+    let check = "LinuxCNC";
+    let Some(version) = installed(system, "linuxcnc-uspace") else {
+        return Finding::note(
+            check,
+            "no package linuxcnc-uspace",
+            "a run-in-place build is not looked at",
+            "sudo apt install linuxcnc-uspace, or nothing if you build LinuxCNC yourself",
+        );
+    };
+    let plain = version
+        .split_once(':')
+        .map_or(version.as_str(), |(_, rest)| rest);
+    let mut parts = plain
+        .split(|c: char| !c.is_ascii_digit())
+        .map(str::parse::<u32>);
+    let number = (parts.next(), parts.next());
+    match number {
+        (Some(Ok(major)), Some(Ok(minor))) if (major, minor) >= (2, 9) => {
+            Finding::good(check, version)
+        }
+        _ => Finding::bad(
+            check,
+            version,
+            "the module is for LinuxCNC 2.9",
+            "install the package of Debian 12 or later, or the project's own",
+        ),
+    }
+}
+
+fn rights(system: &System<'_>) -> Finding {
+    let check = "rights of rtapi_app";
+    if !system.exists(RTAPI_APP) {
+        return Finding::skipped(
+            check,
+            "not installed by a package",
+            "a run-in-place build has its own",
+            "in a run-in-place build: sudo make setuid",
+        );
+    }
+    if system.is_setuid_root(RTAPI_APP) {
+        return Finding::good(check, "root's");
+    }
+    let capabilities = system
+        .print("getcap", &["/usr/bin/rtapi_app"])
+        .unwrap_or_default();
+    if ["cap_sys_nice", "cap_ipc_lock"]
+        .iter()
+        .all(|it| capabilities.contains(it))
+    {
+        return Finding::good(check, "as capabilities");
+    }
+    Finding::bad(
+        check,
+        "those of the user",
+        "without them the servo thread has no real-time priority and its memory may be swapped out",
+        "sudo chmod u+s /usr/bin/rtapi_app, or reinstall linuxcnc-uspace",
+    )
+}
+
+fn forced(system: &System<'_>) -> Finding {
+    let check = "forced real time";
+    match (system.variable)("LINUXCNC_FORCE_REALTIME").filter(|value| !value.is_empty()) {
+        None => Finding::good(check, "no"),
+        Some(value) => Finding::note(
+            check,
+            format!("LINUXCNC_FORCE_REALTIME={value}"),
+            "LinuxCNC does not tell of a kernel without real time then",
+            "unset LINUXCNC_FORCE_REALTIME",
+        )
+        .lasting("remove the line from ~/.profile or ~/.bashrc"),
+    }
+}
+
+fn module(system: &System<'_>) -> Finding {
+    let check = "module";
+    if !system.exists(MODULE) {
+        return Finding::bad(
+            check,
+            format!("/{MODULE} is not there"),
+            "`loadrt ferrocnc` finds nothing",
+            "link the built module there (docs/guide/first-machine.md)",
+        );
+    }
+    let Some(head) = system.bytes::<20>(MODULE) else {
+        return Finding::bad(
+            check,
+            format!("/{MODULE} cannot be read"),
+            "a link that leads nowhere, or a file of another user",
+            "build it again, and see where the link leads: ls -l",
+        );
+    };
+    let machine = u16::from_le_bytes([head[18], head[19]]);
+    match head[..4] == *b"\x7fELF" && (MACHINE == 0 || machine == MACHINE) {
+        true => Finding::good(check, format!("/{MODULE}")),
+        false => Finding::bad(
+            check,
+            format!("/{MODULE} is for another processor"),
+            "LinuxCNC cannot load it",
+            "build it on this computer",
+        ),
+    }
+}
+
+fn locked(system: &System<'_>) -> Finding {
+    let check = "locked memory";
+    let limits = system.read("proc/self/limits").unwrap_or_default();
+    let limit = limits.lines().find_map(|line| {
+        let values = line.strip_prefix("Max locked memory")?;
+        Some(values.split_whitespace().next()?.to_owned())
+    });
+    match limit {
+        None => Finding::skipped(check, "not known", "/proc/self/limits does not say", ""),
+        Some(limit)
+            if limit == "unlimited" || limit.parse::<u64>().is_ok_and(|it| it >= LOCKED) =>
+        {
+            Finding::good(check, limit)
+        }
+        Some(limit) => Finding::note(
+            check,
+            format!("{limit} bytes"),
+            "HAL of a user without rights needs 20 MiB; rtapi_app with root's rights does not",
+            "ulimit -l 20480",
+        )
+        .lasting("`* - memlock 20480` in /etc/security/limits.d/ferrocnc.conf, and a new login"),
+    }
+}

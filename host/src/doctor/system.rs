@@ -1,0 +1,111 @@
+//! Where the doctor reads: files below a root, and what programs print. Tests make both up.
+
+use std::collections::BTreeSet;
+use std::os::unix::fs::MetadataExt;
+use std::path::PathBuf;
+use std::process::Command;
+
+/// Runs a program; what it prints, `None` if it is not there.
+pub type Run<'s> = dyn Fn(&str, &[&str]) -> Option<String> + 's;
+
+/// A computer.
+pub struct System<'s> {
+    /// `/`, or a made-up one.
+    pub root: PathBuf,
+    /// The number of its user `root`.
+    pub root_uid: u32,
+    /// Runs its programs.
+    pub run: &'s Run<'s>,
+    /// Reads a variable of the environment.
+    pub variable: &'s dyn Fn(&str) -> Option<String>,
+}
+
+impl System<'static> {
+    /// This computer.
+    pub fn real() -> Self {
+        System {
+            root: PathBuf::from("/"),
+            root_uid: 0,
+            run: &|program, arguments| {
+                let done = Command::new(program).args(arguments).output().ok()?;
+                // ethtool says on stderr what a card does not support.
+                let both = [done.stdout, done.stderr].concat();
+                Some(String::from_utf8_lossy(&both).into_owned())
+            },
+            variable: &|name| std::env::var(name).ok(),
+        }
+    }
+}
+
+impl System<'_> {
+    /// A file without white space around it; `None` if it cannot be read.
+    pub fn read(&self, path: &str) -> Option<String> {
+        let bytes = std::fs::read(self.root.join(path)).ok()?;
+        Some(String::from_utf8_lossy(&bytes).trim().to_owned())
+    }
+
+    /// The first bytes of a file.
+    pub fn bytes<const N: usize>(&self, path: &str) -> Option<[u8; N]> {
+        let bytes = std::fs::read(self.root.join(path)).ok()?;
+        bytes.first_chunk().copied()
+    }
+
+    /// Is it there?
+    pub fn exists(&self, path: &str) -> bool {
+        self.root.join(path).symlink_metadata().is_ok()
+    }
+
+    /// The names in a folder, sorted; none if there is no such folder.
+    pub fn list(&self, path: &str) -> Vec<String> {
+        let entries = std::fs::read_dir(self.root.join(path));
+        let names = entries.into_iter().flatten().flatten();
+        let mut names: Vec<_> = names
+            .map(|entry| entry.file_name().to_string_lossy().into_owned())
+            .collect();
+        names.sort();
+        names
+    }
+
+    /// Where a link leads, as text.
+    pub fn link(&self, path: &str) -> Option<String> {
+        let to = std::fs::read_link(self.root.join(path)).ok()?;
+        Some(to.to_string_lossy().into_owned())
+    }
+
+    /// Does the file run with root's rights?
+    pub fn is_setuid_root(&self, path: &str) -> bool {
+        let found = std::fs::metadata(self.root.join(path));
+        found.is_ok_and(|it| it.mode() & 0o4000 != 0 && it.uid() == self.root_uid)
+    }
+
+    /// What a program prints.
+    pub fn print(&self, program: &str, arguments: &[&str]) -> Option<String> {
+        (self.run)(program, arguments)
+    }
+}
+
+/// The numbers of a list like `1,3-5`.
+pub fn numbers(list: &str) -> BTreeSet<u32> {
+    let mut found = BTreeSet::new();
+    for part in list.split(',') {
+        let (first, last) = part.split_once('-').unwrap_or((part, part));
+        if let (Ok(first), Ok(last)) = (first.trim().parse(), last.trim().parse::<u32>()) {
+            found.extend(first..=last.min(4095));
+        }
+    }
+    found
+}
+
+/// The numbers of a mask like `00000000,0000000f`.
+pub fn mask(text: &str) -> BTreeSet<u32> {
+    let digits = text.trim().replace(',', "");
+    let bits = digits.chars().rev().enumerate().filter_map(|(at, digit)| {
+        let nibble = digit.to_digit(16)?;
+        Some(
+            (0..4)
+                .filter(move |bit| nibble >> bit & 1 != 0)
+                .map(move |bit| 4 * at as u32 + bit),
+        )
+    });
+    bits.flatten().collect()
+}
