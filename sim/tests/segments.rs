@@ -64,6 +64,8 @@ struct Pair {
     board: Board,
     seed: u64,
     clock: u64,
+    /// What the cores read in this clock: they were told in the one before.
+    reading: u32,
 }
 
 impl Pair {
@@ -72,9 +74,10 @@ impl Pair {
             from_environment("FERROCNC_JOBS_CORES", root().join("target/sim/cores-jobs"));
         let mut cores = Cores::load(&folder).unwrap_or_else(|error| panic!("{error}"));
         let mut pins = CoresPins {
-            adr: pages::IDENT << 9 | 7,
+            coming: pages::IDENT << 9 | 7,
             ..CoresPins::default()
         };
+        cores.rise(&mut pins);
         cores.rise(&mut pins);
         let board = Board::at(
             Build {
@@ -96,6 +99,7 @@ impl Pair {
             board,
             seed,
             clock: 0,
+            reading: 0,
         };
         pair.board.drive(&Pins::default());
         pair
@@ -107,10 +111,12 @@ impl Pair {
             write: write.map(|data| (address, data)),
             ..Bus::default()
         };
-        self.pins.adr = address;
+        (self.pins.adr, self.pins.coming) = (address, address);
         self.pins.we = write.is_some().into();
         self.pins.dat_w = write.unwrap_or(0);
-        let (page, word) = (address >> 9, address & 0x1ff);
+        let answer = self.board.peek(address >> 9, address & 0x1ff);
+        let read = core::mem::replace(&mut self.reading, address);
+        let (page, word) = (read >> 9, read & 0x1ff);
         let expected = self.board.peek(page, word);
         self.board.clock(&bus);
         self.cores.rise(&mut self.pins);
@@ -135,7 +141,7 @@ impl Pair {
             p.dat_r
         );
         self.clock += 1;
-        expected
+        answer
     }
 
     fn status(&self) -> u32 {

@@ -44,6 +44,8 @@ const EBREAK: u32 = 0x0010_0073;
 const UNIMP: u32 = 0xc000_1073;
 const MRET: u32 = 0x3020_0073;
 const RET: u32 = 0x0000_8067;
+/// Functions begin at lines of the instruction cache; one linker leaves 0 in between, one `nop`.
+const PADDING: [u32; 2] = [0, 0x0000_0013];
 /// `j` to the next instruction.
 const J_NEXT: u32 = 0x0040_006f;
 /// Restores registers and returns, for the function that jumps to it (`firmware/src/bin/saves.s`).
@@ -182,11 +184,17 @@ impl Code {
         code
     }
 
-    /// Every function ends where the next begins.
+    /// Every function ends where the next begins, or at the padding in front of that.
     fn close(&mut self) {
         let mut end = self.words.keys().next_back().map_or(0, |last| last + 4);
         for (start, (_, its_end)) in self.functions.iter_mut().rev() {
             *its_end = end;
+            let last = |end: u32| self.words.get(&(end - 4)).copied();
+            while *its_end > *start + 4
+                && last(*its_end).is_some_and(|word| PADDING.contains(&word))
+            {
+                *its_end -= 4;
+            }
             end = *start;
         }
     }
@@ -475,7 +483,10 @@ impl Walk<'_> {
         }
         if !self.code.functions.contains_key(&start) {
             let (_, name) = self.code.function(start);
-            return Err(format!("{start:#x} is called, in the middle of {name}"));
+            let caller = self.open.last().map_or("?", |at| self.code.function(*at).1);
+            return Err(format!(
+                "{caller} calls {start:#x}, which is in the middle of {name}"
+            ));
         }
         // Until it is known, for those that call themselves: they are found out by `deepest`.
         self.frames.insert(start, Frame::default());
