@@ -127,9 +127,10 @@ pub struct Server<D: Device> {
     period_end: u64,
     /// When the host last made an exchange, and whether the silence since has been acted on.
     last_exchange: Option<Instant>,
-    /// Lockstep: which host made it, and what it has asked since.
+    /// Lockstep: which host made it.
     exchanger: Option<SocketAddr>,
-    asked: Vec<Vec<u8>>,
+    /// Lockstep: what such a host has asked since, and which.
+    asked: Vec<(SocketAddr, Vec<u8>)>,
     /// Lockstep: the board runs by itself until this sys clock.
     orphan_until: u64,
     /// Paced: since when, and from which sys clock, both clocks are compared.

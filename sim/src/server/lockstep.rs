@@ -54,8 +54,8 @@ impl<D: Device> Server<D> {
                 self.period_end = start + period;
                 self.orphan_until = 0;
                 self.post(Service::Etherbone, sender, &payload);
-                for asked in core::mem::take(&mut self.asked) {
-                    self.post(Service::Etherbone, sender, &asked);
+                for (host, asked) in core::mem::take(&mut self.asked) {
+                    self.post(Service::Etherbone, host, &asked);
                 }
                 self.pass(self.period_end);
                 self.last_exchange = Some(Instant::now());
@@ -66,7 +66,7 @@ impl<D: Device> Server<D> {
                     && self.exchanger == Some(sender)
                     && is_read(&payload) =>
             {
-                self.asked.push(payload);
+                self.asked.push((sender, payload));
             }
             Ok(Event::Datagram(service, sender, payload)) => {
                 self.answer(service, sender, &payload);
@@ -88,10 +88,8 @@ impl<D: Device> Server<D> {
 
     /// The host that asked makes no exchange.
     fn answer_asked(&mut self) {
-        for asked in core::mem::take(&mut self.asked) {
-            if let Some(sender) = self.exchanger {
-                self.answer(Service::Etherbone, sender, &asked);
-            }
+        for (host, asked) in core::mem::take(&mut self.asked) {
+            self.answer(Service::Etherbone, host, &asked);
         }
     }
 }

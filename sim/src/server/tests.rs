@@ -131,18 +131,12 @@ fn hear(socket: &UdpSocket) -> Vec<u8> {
 }
 
 fn exchange(sequence: u32) -> Vec<u8> {
-    [
-        0x4e6f_1044,
-        0,
-        0x000f_0300,
-        wire::map::COMMAND,
-        1,
-        sequence,
-        0,
-    ]
-    .iter()
-    .flat_map(|w: &u32| w.to_be_bytes())
-    .collect()
+    let base = wire::map::COMMAND;
+    bytes(&[0x4e6f_1044, 0, 0x000f_0300, base, 1, sequence, 0])
+}
+
+fn bytes(words: &[u32]) -> Vec<u8> {
+    words.iter().flat_map(|word| word.to_be_bytes()).collect()
 }
 
 #[test]
@@ -187,10 +181,7 @@ fn lockstep_gives_each_exchange_one_period() {
 
 /// A record that reads one word.
 fn question() -> Vec<u8> {
-    [0x4e6f_1000, 0, 0x0000_0001, 0, 0x1234]
-        .iter()
-        .flat_map(|w: &u32| w.to_be_bytes())
-        .collect()
+    bytes(&[0x4e6f_1000, 0, 0x0000_0001, 0, 0x1234])
 }
 
 #[test]
@@ -209,6 +200,18 @@ fn what_a_host_reads_between_two_exchanges_is_on_the_wire_behind_the_second() {
     let rig = thread.join().unwrap();
     let last = rig.clock() - 32 - 3 * 5000;
     assert!((60..=6000).contains(&last), "{last}");
+}
+
+#[test]
+fn a_question_is_answered_to_the_host_that_asked_whichever_makes_the_next_exchange() {
+    let (udp, _, stop, thread) = serve(Mode::Lockstep { period: 5000 });
+    let (a, b) = (client(udp), client(udp));
+    assert_eq!(talk(&a, &exchange(1)), exchange(1));
+    a.send(&question()).unwrap();
+    assert_eq!(talk(&b, &exchange(2)), exchange(2));
+    assert_eq!(hear(&a), question());
+    stop.store(true, Ordering::Relaxed);
+    thread.join().unwrap();
 }
 
 #[test]
