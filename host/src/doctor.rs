@@ -70,21 +70,6 @@ pub fn examine(system: &System<'_>, subject: &Subject) -> Report {
     }
 }
 
-/// A report to send to others: without hardware addresses.
-pub fn without_macs(text: &str) -> String {
-    let is_mac = |word: &str| {
-        let bytes: Vec<_> = word.split(':').collect();
-        bytes.len() == 6
-            && bytes
-                .iter()
-                .all(|byte| byte.len() == 2 && u8::from_str_radix(byte, 16).is_ok())
-    };
-    let words = text
-        .split(' ')
-        .map(|word| if is_mac(word) { "MAC" } else { word });
-    words.collect::<Vec<_>>().join(" ")
-}
-
 fn no_interface(subject: &Subject) -> Finding {
     match subject.board {
         Some(ip) => Finding::bad(

@@ -169,6 +169,21 @@ impl Report {
     }
 }
 
+/// A report to send to others: without hardware addresses.
+pub fn without_macs(text: &str) -> String {
+    let is_mac = |word: &str| {
+        let bytes: Vec<_> = word.split(':').collect();
+        bytes.len() == 6
+            && bytes
+                .iter()
+                .all(|byte| byte.len() == 2 && u8::from_str_radix(byte, 16).is_ok())
+    };
+    let words = text
+        .split(' ')
+        .map(|word| if is_mac(word) { "MAC" } else { word });
+    words.collect::<Vec<_>>().join(" ")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -48,12 +48,20 @@ impl Port<'_> {
         self.system.print("ethtool", &[option, self.interface])
     }
 
-    /// What does not need the port alone: `ip` and `ethtool` have it at every start.
-    fn at_every_start(&self, command: &str) -> String {
-        format!(
+    /// What `ethtool OPTION IF TO` repairs, now and at every start of the port.
+    fn by_ethtool(
+        &self,
+        check: &str,
+        fact: String,
+        reason: &str,
+        option: &str,
+        to: &str,
+    ) -> Finding {
+        let command = format!("ethtool {option} {} {to}", self.interface);
+        Finding::note(check, fact, reason, &format!("sudo {command}")).lasting(format!(
             "`up {command}` below `iface {}` in /etc/network/interfaces, or a dispatcher script of NetworkManager",
             self.interface
-        )
+        ))
     }
 
     fn without_ethtool(check: &str) -> Finding {
@@ -193,22 +201,12 @@ impl Port<'_> {
             None | Some("n/a") if !adaptive => Finding::good(check, "none"),
             Some("0" | "1") if !adaptive => Finding::good(check, "off"),
             usecs => {
-                let command = format!(
-                    "sudo ethtool -C {} adaptive-rx off rx-usecs 0",
-                    self.interface
-                );
                 let fact = match (usecs, adaptive) {
                     (_, true) => "adaptive".to_owned(),
                     (usecs, false) => format!("{} us", usecs.unwrap_or("unknown")),
                 };
-                let kept = self.at_every_start(&command.replace("sudo ", ""));
-                Finding::note(
-                    check,
-                    fact,
-                    "the card keeps a frame back to save interrupts",
-                    &command,
-                )
-                .lasting(kept)
+                let reason = "the card keeps a frame back to save interrupts";
+                self.by_ethtool(check, fact, reason, "-C", "adaptive-rx off rx-usecs 0")
             }
         }
     }
@@ -259,15 +257,8 @@ impl Port<'_> {
         match count {
             0 | 1 => Finding::good(check, count.to_string()),
             _ => {
-                let command = format!("sudo ethtool -L {} combined 1", self.interface);
-                let kept = self.at_every_start(&command.replace("sudo ", ""));
-                Finding::note(
-                    check,
-                    count.to_string(),
-                    "each has its own interrupt; one is simpler to keep on one CPU",
-                    &command,
-                )
-                .lasting(kept)
+                let reason = "each has its own interrupt; one is simpler to keep on one CPU";
+                self.by_ethtool(check, count.to_string(), reason, "-L", "combined 1")
             }
         }
     }
@@ -280,15 +271,8 @@ impl Port<'_> {
         if !text.contains("EEE status: enabled") {
             return Finding::good(check, "off");
         }
-        let command = format!("sudo ethtool --set-eee {} eee off", self.interface);
-        let kept = self.at_every_start(&command.replace("sudo ", ""));
-        Finding::note(
-            check,
-            "on",
-            "the link sleeps between frames and wakes up late",
-            &command,
-        )
-        .lasting(kept)
+        let reason = "the link sleeps between frames and wakes up late";
+        self.by_ethtool(check, "on".to_owned(), reason, "--set-eee", "eee off")
     }
 
     fn pause(&self) -> Finding {
@@ -303,15 +287,8 @@ impl Port<'_> {
         if !on {
             return Finding::good(check, "off");
         }
-        let command = format!("sudo ethtool -A {} rx off tx off", self.interface);
-        let kept = self.at_every_start(&command.replace("sudo ", ""));
-        Finding::note(
-            check,
-            "on",
-            "a switch can keep this port from sending",
-            &command,
-        )
-        .lasting(kept)
+        let reason = "a switch can keep this port from sending";
+        self.by_ethtool(check, "on".to_owned(), reason, "-A", "rx off tx off")
     }
 
     fn power(&self) -> Finding {

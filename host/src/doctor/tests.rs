@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::finding::Verdict::{self, Bad, Good, Note, Skipped};
+use crate::finding::without_macs;
 use std::fs;
 use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
 use std::path::PathBuf;

@@ -1,11 +1,10 @@
 //! `ferrocnc doctor`: what of this computer makes exchanges late or loses them.
 
-use anyhow::{Context, Result, bail};
+use crate::findings;
+use anyhow::Result;
 use clap::Args;
 use ferrocnc::doctor::system::System;
-use ferrocnc::doctor::{Subject, card, examine, without_macs};
-use ferrocnc::finding::Verdict;
-use std::io::Write;
+use ferrocnc::doctor::{Subject, card, examine};
 use std::path::PathBuf;
 
 #[derive(Args)]
@@ -31,20 +30,5 @@ pub(crate) fn run(arguments: &Doctor, as_json: bool) -> Result<()> {
     if let Some(mut client) = client {
         report.findings.extend(card::examine(&mut client));
     }
-    let (text, json) = (report.to_text(), format!("{:#}\n", report.to_json()));
-    if let Some(file) = &arguments.report {
-        let wants_json = as_json || file.extension().is_some_and(|ending| ending == "json");
-        let report = without_macs(if wants_json { &json } else { &text });
-        std::fs::write(file, report).with_context(|| format!("cannot write {}", file.display()))?;
-    }
-    std::io::stdout()
-        .lock()
-        .write_all(if as_json { &json } else { &text }.as_bytes())?;
-    match report.count(Verdict::Bad) {
-        0 => Ok(()),
-        bad => bail!(
-            "{bad} of {} findings are bad; each says what to do",
-            report.findings.len()
-        ),
-    }
+    findings::tell(&report, arguments.report.as_deref(), as_json)
 }

@@ -9,6 +9,7 @@ mod console;
 mod describe;
 mod discover;
 mod doctor;
+mod findings;
 mod flash;
 mod job;
 mod key;

@@ -1,11 +1,12 @@
 //! `ferrocnc selftest`: tests a new board and its wiring, and writes a report to send in.
 
-use anyhow::{Context, Result, bail};
+use crate::findings;
+use anyhow::{Result, bail};
 use clap::Args;
 use ferrocnc::client::Identity;
+use ferrocnc::selftest::Wall;
 use ferrocnc::selftest::loops::{Loop, Sink, Source};
 use ferrocnc::selftest::run::{Bench, PATIENCE, Plan, idle, run as test};
-use ferrocnc::selftest::{Verdict, Wall};
 use ferrocnc_config::Platform;
 use ferrocnc_config::source::BUILT_IN;
 use std::io::{BufRead, IsTerminal, Write};
@@ -90,22 +91,7 @@ pub(crate) fn run(arguments: &Selftest, as_json: bool) -> Result<()> {
             tell: &tell,
         },
     );
-    let (text, json) = (report.to_text(), format!("{:#}\n", report.to_json()));
-    if let Some(file) = &arguments.report {
-        let wants_json = as_json || file.extension().is_some_and(|ending| ending == "json");
-        std::fs::write(file, if wants_json { &json } else { &text })
-            .with_context(|| format!("cannot write {}", file.display()))?;
-    }
-    std::io::stdout()
-        .lock()
-        .write_all(if as_json { &json } else { &text }.as_bytes())?;
-    match report.count(Verdict::Bad) {
-        0 => Ok(()),
-        bad => bail!(
-            "{bad} of {} findings are bad; each says what to do",
-            report.findings.len()
-        ),
-    }
+    findings::tell(&report, arguments.report.as_deref(), as_json)
 }
 
 /// Bytes of the flash on a platform this tool knows.
