@@ -214,7 +214,7 @@ impl Server {
         apply: Option<[u32; 2]>,
     ) -> Result<Gate, Refusal> {
         let now = board.now();
-        let effects = self.follow(|safety| safety.obey(enable, request, gate, now));
+        let effects = self.follow(|safety| safety.commanded(enable, request, gate, now));
         if effects.end_session {
             // The watchdog bit before this command came: the session has no owner any more.
             self.obey(board, effects);

@@ -116,6 +116,12 @@ pub struct Datagram {
 }
 
 impl Datagram {
+    /// Words of its payload.
+    #[inline(always)]
+    pub const fn words(&self) -> usize {
+        self.length / 4
+    }
+
     /// A datagram without a sender: an answer to it is broadcast to this port.
     pub const fn broadcast(port: u16) -> Self {
         Datagram {

@@ -241,13 +241,13 @@ impl Safety {
 
     /// The transition function. It is total: every event in every state.
     pub fn step(&mut self, event: Event, now: u64) -> Effects {
-        self.checked(|| event, |safety| safety.decide(event, now))
+        self.checked(event, |safety| safety.decide(event, now))
     }
 
     /// [`Safety::step`] for [`Event::Command`], on the way to an answer that a host waits for.
     #[inline]
-    pub fn obey(&mut self, enable: bool, request: bool, gate: Gate, now: u64) -> Effects {
-        let event = || Event::Command {
+    pub fn commanded(&mut self, enable: bool, request: bool, gate: Gate, now: u64) -> Effects {
+        let event = Event::Command {
             enable,
             request,
             gate,
@@ -257,20 +257,13 @@ impl Safety {
 
     /// A transition. Debug builds check that it keeps the invariants.
     #[inline(always)]
-    fn checked(
-        &mut self,
-        _event: impl FnOnce() -> Event,
-        transition: impl FnOnce(&mut Self) -> Effects,
-    ) -> Effects {
+    fn checked(&mut self, _event: Event, transition: impl FnOnce(&mut Self) -> Effects) -> Effects {
         #[cfg(any(test, debug_assertions))]
         let before = *self;
         let effects = transition(self);
         #[cfg(any(test, debug_assertions))]
-        {
-            let event = _event();
-            if let Err(why) = invariants::hold(&before, event, self, &effects) {
-                panic!("{why}: {before:?} --{event:?}--> {self:?} {effects:?}");
-            }
+        if let Err(why) = invariants::hold(&before, _event, self, &effects) {
+            panic!("{why}: {before:?} --{_event:?}--> {self:?} {effects:?}");
         }
         effects
     }

@@ -521,7 +521,7 @@ fn taken<'p>(payload: &'p [u32; MAX_WORDS], datagram: &Datagram, bytes: &[u8]) -
         bytes.len()
     );
     assert!(datagram.length <= MAX_PAYLOAD && datagram.length.is_multiple_of(4));
-    let words = &payload[..datagram.length / 4];
+    let words = &payload[..datagram.words()];
     let theirs = bytes[from..].as_chunks().0;
     let same = words
         .iter()

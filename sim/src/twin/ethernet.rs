@@ -66,11 +66,11 @@ impl Twin {
         let us = &self.machine.us;
         match net::classify(&frame, bytes.len(), us, &ports, &mut payload) {
             Class::Ours(datagram) => {
-                let answer = self.datagram(&payload[..datagram.length / 4], &datagram);
+                let answer = self.datagram(&payload[..datagram.words()], &datagram);
                 (answer, self.machine.session().is_owner(datagram.peer))
             }
             Class::Discovery(datagram) => {
-                let words = &payload[..datagram.length / 4];
+                let words = &payload[..datagram.words()];
                 (self.discover(words, datagram.peer.port), false)
             }
             Class::Refused(why) => {

@@ -228,7 +228,7 @@ impl App {
 
     fn datagram(&mut self, datagram: &Datagram, owner: bool) {
         let Mac { input, output, .. } = &mut self.mac;
-        let words = input.words().get(..datagram.length / 4).unwrap_or(&[]);
+        let words = input.words().get(..datagram.words()).unwrap_or(&[]);
         let peer = datagram.peer;
         let served = match owner {
             true => self.machine.alone().datagram(words, peer, output.words()),
@@ -273,7 +273,7 @@ impl App {
     /// A host looks for boards, or gives a board its settings.
     fn discover(&mut self, datagram: &Datagram) {
         let Mac { input, output, .. } = &mut self.mac;
-        let words = input.words().get(..datagram.length / 4).unwrap_or(&[]);
+        let words = input.words().get(..datagram.words()).unwrap_or(&[]);
         let port = datagram.peer.port;
         let reply = self.machine.guest().discover(words, port, output.words());
         let reply = reply.len();
