@@ -14,7 +14,7 @@ target=riscv32im-unknown-none-elf
 out=$root/target/firmware
 # `relax` lets the linker shorten calls, 2.5 KiB. Functions begin at a line of the instruction
 # cache, 32 bytes: the code of an exchange that takes the long way is cold, and a line costs 13
-# clocks. That is 3.4 KiB more and 100 to 300 clocks less. The passes remove arguments that are not
+# clocks. That is 2.3 KiB more and 100 to 300 clocks less. The passes remove arguments that are not
 # read after inlining: the messages of panics, 5 KiB with the code that formats them (see
 # soc/postmortem.rs of the image). With `save-restore` functions share the instructions that save
 # registers (src/bin/saves.s), 2.9 KiB. The remapping keeps this machine's folder names out of panic
