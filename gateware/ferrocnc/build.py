@@ -73,33 +73,24 @@ def _settle(out):
     (out / f"{TOP}.lpf").write_text("".join(line for line in lpf if 'SITE "X"' not in line))
 
 
-def place(board, folder, seed, cells, *more, name="", cancelled=None):
-    """Places and routes. The caller judges a missed clock from the report: nextpnr alone would stop
-    before it reports the clocks."""
+def place(board, folder, seed, *more, name="", cancelled=None):
+    """nextpnr places, our router routes (decision 11), nextpnr checks every route, reports the
+    clocks and writes the configuration. The caller judges a missed clock from the report: nextpnr
+    alone would stop before it reports the clocks."""
     report = folder / f"nextpnr{name}.json"
     report.unlink(missing_ok=True)
     end = ["--textcfg", f"{TOP}{name}.config", "--report", report.name, *_device(board), "--timing-allow-fail"]
     start = ["--json", f"{TOP}.json", "--lpf", f"{TOP}.lpf", "--seed", str(seed), *ecp5.PLACER.split(), *more]
-    if netlist.crowded(cells):
-        _route_ourselves(board, folder, start, end, name, cancelled)
-    else:
-        tools.run("nextpnr-ecp5", [*start, "--write", f"routed{name}.json", *end], folder, f"nextpnr{name}.log", cancelled=cancelled)
-    return json.loads(report.read_text())
-
-
-def _route_ourselves(board, folder, start, end, name, cancelled):
-    """nextpnr's routers do not finish on a crowded board, ours does (decision 11): nextpnr places,
-    our router routes, nextpnr checks every route, reports the clocks and writes the
-    configuration."""
-    placed, routed, clocks = f"placed{name}.json", f"routed{name}.json", f"clocks{name}.lpf"
+    placed, ways, clocks = f"placed{name}.json", f"ways{name}.json", f"clocks{name}.lpf"
     tools.run("nextpnr-ecp5", [*start, "--no-route", "--write", placed, *_device(board), "--timing-allow-fail"], folder, f"placing{name}.log",
               cancelled=cancelled, packaged=True)
-    tools.route(["--chip", str(tools.chip_database(_device(board)[0][2:])), "--placed", placed, "--routed", routed, "--constraints", clocks,
+    tools.route(["--chip", str(tools.chip_database(_device(board)[0][2:])), "--placed", placed, "--routed", ways, "--constraints", clocks,
                  "--clock", f"eth={rgmii.PHY.rx_clk_freq / 1e6:g}", "--clock", f"={board.sys_clk_hz / 1e6:g}"], folder, f"routing{name}.log", cancelled=cancelled)
-    tools.run("nextpnr-ecp5", ["--json", routed, "--lpf", clocks, "--no-pack", "--no-place", "--router", "router1", *end], folder, f"nextpnr{name}.log",
+    tools.run("nextpnr-ecp5", ["--json", ways, "--lpf", clocks, "--no-pack", "--no-place", "--router", "router1", "--write", f"routed{name}.json", *end], folder, f"nextpnr{name}.log",
               cancelled=cancelled, packaged=True)
-    for file in (placed, routed):  # 100 MB
+    for file in (placed, ways):  # 100 MB
         (folder / file).unlink()
+    return json.loads(report.read_text())
 
 
 def _device(board):
@@ -197,8 +188,6 @@ class Design:
 
     def _flags(self):
         """The inputs of placing and routing besides the netlist and nextpnr."""
-        if not netlist.crowded(self.record["cells"]):
-            return ecp5.PLACER
         return ecp5.PLACER + hashlib.sha256(tools.router().read_bytes()).hexdigest()
 
     def _must_fit(self):
@@ -288,7 +277,7 @@ class Design:
     def _route(self, seed, lock, cancelled):
         began = time.monotonic()
         try:
-            data = place(self.board, self.work, seed, self.record["cells"], *([] if self.pins else ["--lpf-allow-unconstrained"]), name=str(seed), cancelled=cancelled)
+            data = place(self.board, self.work, seed, *([] if self.pins else ["--lpf-allow-unconstrained"]), name=str(seed), cancelled=cancelled)
         except tools.Ended:
             raise
         except tools.ToolError as e:
@@ -596,7 +585,7 @@ def bench(root, out, report=None, seed=None, document=None):
         _bare_synthesis(board, name == "mill6", folder)
         boards[name] = netlist.trim(folder / f"{TOP}.json") | _packed(folder, ("--lpf", f"{TOP}.lpf", *_device(board)))
         if seed is not None and name != "none":
-            boards[name]["clocks"] = _clocks(board, place(board, folder, seed, boards[name], "--lpf-allow-unconstrained"))
+            boards[name]["clocks"] = _clocks(board, place(board, folder, seed, "--lpf-allow-unconstrained"))
             boards[name]["seed"] = seed
     text = "\n".join(size_tables(cores, boards)) + "\n"
     print(text)

@@ -50,7 +50,7 @@ def write(board, work, routed, out):
     gates = Gates(board, json.loads((work / routed).read_text()), _undefined(work / "top.json"), (work / "board.bin").read_bytes())
     (out / "gates.v").write_text(gates.verilog())
     manifest = {
-        "top": "sim", "board": board.name, "verilog": [str(out / "gates.v"), str(sim.COPPER)], "rom_signal": "rom", "ram_signal": "collided",
+        "top": "sim", "board": board.name, "verilog": [str(out / "gates.v"), str(sim.COPPER)], "rom_signals": ["rom"], "ram_signals": ["collided"],
         "rom_words": rm.ROM[1] // 4, "sys_clk_hz": board.sys_clk_hz, "eth_clk_hz": 125_000_000, "ports": dict(sim.PORTS),
         "memories": [memory.name for memory in gates.memories],
     }

@@ -25,31 +25,21 @@ _PINS = "ABCD"
 _CONSTANT = ("0", "1")
 COUNTED = {"lut4": "LUT4", "ff": "TRELLIS_FF", "ebr": "DP16KD", "dsp": "MULT18X18D", "ccu2c": "CCU2C", "lutram": "TRELLIS_DPR16X4"}
 
-# From this number of LUTs and carries on a board is trimmed: an LFE5U-25F has 24 288 places for
-# them. Smaller boards route without it, and the effect on their clocks is not measured.
-CROWDED = 18_000
-
 
 def trim(path):
-    """Rewrites the netlist in `path` if it is that large. Returns its cell counts."""
+    """Rewrites the netlist in `path`. Returns its cell counts."""
     design = json.loads(path.read_text())
     (module,) = (m for m in design["modules"].values() if int(m["attributes"].get("top", "0"), 2))
-    if crowded(_count(module)):
-        _trim(module)
-        part = path.with_suffix(".part")
-        part.write_text(json.dumps(design))
-        part.replace(path)
+    _trim(module)
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(design))
+    part.replace(path)
     return _count(module)
 
 
 def _count(module):
     types = collections.Counter(cell["type"] for cell in module["cells"].values())
     return {key: types[cell] for key, cell in COUNTED.items()}
-
-
-def crowded(counts):
-    """Whether a board with these cells is trimmed, and routed by our own router."""
-    return counts["lut4"] + 2 * counts["ccu2c"] > CROWDED
 
 
 def _trim(module):

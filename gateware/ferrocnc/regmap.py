@@ -18,8 +18,11 @@ CSR_PAGE = 0x800
 CSR_ADDRESS_WIDTH = 16
 
 ROM = (0x0000_0000, 0xF000)  # 60 KiB, 27 EBR: the image
+# In words: see `onchip`.
+ROM_PARTS = (14 * 1024, 1024)
 ROM_TRAILER = 0x10  # the ROM's last bytes, which the linker does not use: the bitstream's trailer
 RAM = (0x1000_0000, 0x4800)  # 18 KiB, 9 EBR: the window of the services, data, bss, stack
+RAM_PARTS = (4096, 512)
 ETHMAC = (0x8000_0000, 0x3000)  # 4 receive slots, then 2 transmit slots, 2 KiB each; uncached
 BOARD_ROM = (0x9000_0000, 0x800)  # the board info blob; uncached
 # 8 MiB, on boards with SDRAM: the services, their data, the jobs; cached.

@@ -171,7 +171,7 @@ class SimSoC(ferro.FerroSoC):
         clock = Signal(name="cpu_clk")
         self.comb += clock.eq(self.crg.cd_sys.clk & ~freeze)
         params["i_clk"] = clock
-        for bus, port in ((self.fetch.master, "iBus"), (self.cpu.dbus, "dBus")):
+        for bus, port in ((self.rom.master, "iBus"), (self.cpu.dbus, "dBus")):
             asks = Signal()
             params[f"o_{port}Wishbone_CYC"] = asks
             self.comb += bus.cyc.eq(asks & ~freeze)
@@ -191,8 +191,8 @@ def elaborate(board, out):
         "top": "sim",
         "board": board.name,
         "verilog": [str(Path(source[0]).resolve()) for source in soc.platform.sources] + [str(out / "sim.v")],
-        "rom_signal": "rom",
-        "rom_verilator": "sim__DOT__rom",
+        "rom_signals": [f"rom_{n}" for n in range(len(rm.ROM_PARTS))],
+        "ram_signals": [f"sram_{n}" for n in range(len(rm.RAM_PARTS))],
         "rom_words": rm.ROM[1] // 4,
         "sys_clk_hz": board.sys_clk_hz,
         "eth_clk_hz": 125_000_000,
@@ -209,14 +209,16 @@ def _self_contained(top):
     """One file without `$readmemh`: a shared library has no folder to read from. The simulator
     loads the ROM."""
     text = settled.verilog(top.main_source)
-    rom = re.compile(r"^(\(\*[^\n]*\*\)\s*)?reg \[31:0\] rom\[0:\d+\];", re.M)
-    assert len(rom.findall(text)) == ("module sim (" in text), "sim.v: the ROM's array is not where it used to be"
+    rom = re.compile(r"^(\(\*[^\n]*\*\)\s*)?reg \[31:0\] rom_\d\[0:\d+\];", re.M)
+    assert len(rom.findall(text)) == ("module sim (" in text) * len(rm.ROM_PARTS), "sim.v: the ROM's arrays are not where they used to be"
     text = rom.sub(lambda m: m.group(0)[:-1] + " /*verilator public_flat_rw*/;", text)
 
     def inline(match):
         file, memory = match.groups()
-        if memory == "rom":
-            return "rom[0] = 32'h0000006f; // waits for an image: jumps to itself"
+        if memory == "rom_0":
+            return "rom_0[0] = 32'h0000006f; // waits for an image: jumps to itself"
+        if memory.startswith("rom_"):
+            return ""
         words = top.data_files[file].split()
         return "\n    ".join(f"{memory}[{i}] = 32'h{w};" for i, w in enumerate(words) if int(w, 16))
 

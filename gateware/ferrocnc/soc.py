@@ -10,7 +10,7 @@ from functools import partial, reduce
 from operator import or_
 from pathlib import Path
 
-from migen import READ_FIRST, Cat, If, Memory, Mux, Signal
+from migen import If, Memory, Signal
 from migen.genlib.fsm import FSM, NextState, NextValue
 from litex.gen import LiteXModule
 from litex.soc.integration import soc as litex_soc
@@ -21,7 +21,7 @@ from litex.soc.interconnect.csr import CSRStatus
 from liteeth import mac as liteeth_mac
 
 from . import VERSION, banks, board as board_file, regmap as rm, sdram, slots
-from .sdram_bridge import BURST, LINE
+from .onchip import Ram, Rom
 
 RTL = Path(__file__).resolve().parent.parent / "rtl"
 # the layout of `wire`: its version, every field, address and code
@@ -90,17 +90,14 @@ class FerroSoC(SoCCore):
             self, platform, board.sys_clk_hz,
             ident="FerroCNC {}.{}.{} ".format(*VERSION) + board.name,
             cpu_type=self.processor, cpu_variant="standard",
-            integrated_rom_size=rm.ROM[1],
-            # Random words: a constant ROM is optimised away, and ecpbram finds the image's place by
-            # this pattern.
-            integrated_rom_init=rom_init or random_words(rm.ROM[1] // 4),
-            integrated_sram_size=rm.RAM[1],
+            cpu_reset_address=rm.ROM[0],
+            integrated_sram_size=0,
             with_uart=False,
             with_timer=False,  # the wall clock is the timer
             csr_address_width=rm.CSR_ADDRESS_WIDTH,
             bus_timeout=None,  # its counter sits in the acknowledge path and costs 16 MHz
         )
-        self._add_fetch()
+        self._add_memories(rom_init)
         self.ethphy = phy(self)
         # Slots in network order: the exchange is 32-bit big-endian words, and VexRiscv has no byte
         # swap. LiteX reads the slots' order from the CPU; nothing else uses it.
@@ -118,10 +115,16 @@ class FerroSoC(SoCCore):
         """Axes of a job."""
         return getattr(self.board, "jobs", 0)
 
-    def _add_fetch(self):
-        """Puts `Fetch` between the CPU and its instruction bus."""
-        self.fetch = fetch = Fetch(self.rom.mem, self.bus.regions["rom"].decoder(self.bus), self.cpu.ibus)
-        ours = fetch.master
+    def _add_memories(self, rom_init):
+        """The RAM, and the ROM, which comes between the CPU and its instruction bus."""
+        rom, ram = (SoCRegion(origin=origin, size=size, mode=mode) for (origin, size), mode in ((rm.ROM, "rx"), (rm.RAM, "rwx")))
+        # Random words: a constant ROM is optimised away, and ecpbram finds the image's place by this
+        # pattern.
+        self.rom = Rom("rom", rm.ROM_PARTS, rom_init or random_words(rm.ROM[1] // 4), rom.decoder(self.bus), self.cpu.ibus)
+        self.sram = Ram("sram", rm.RAM_PARTS)
+        self.bus.add_slave("rom", self.rom.bus, rom)
+        self.bus.add_slave("sram", self.sram.bus, ram)
+        ours = self.rom.master
         self.cpu.cpu_params.update(
             o_iBusWishbone_ADR=ours.adr, o_iBusWishbone_DAT_MOSI=ours.dat_w, o_iBusWishbone_SEL=ours.sel, o_iBusWishbone_CYC=ours.cyc,
             o_iBusWishbone_STB=ours.stb, o_iBusWishbone_WE=ours.we, o_iBusWishbone_CTI=ours.cti, o_iBusWishbone_BTE=ours.bte,
@@ -173,38 +176,6 @@ class FerroSoC(SoCCore):
             self.cores.fabric.coming.eq(self.csr_bridge.wishbone.adr),
         ]
         SoCCore.do_finalize(self)
-
-
-class Fetch(LiteXModule):
-    """The CPU's way to its instructions: to those in the ROM through a port of their own, a word on
-    every clock; to all others over the bus, where a line of the cache takes 22 clocks.
-
-        clk      _/‾\\_/‾\\_/‾\\_ .. _/‾\\_
-        cyc stb  _/‾‾‾‾‾‾‾‾‾‾‾ .. ‾‾‾\\_
-        adr      --X 0     X 1 ..X 7 X-
-        ack      _____/‾‾‾‾‾‾‾ .. ‾‾‾\\_
-    """
-
-    def __init__(self, memory, is_rom, bus):
-        self.master = master = wishbone.Interface(data_width=32, address_width=32, addressing="word")
-
-        # # #
-
-        port = memory.get_port(mode=READ_FIRST)
-        self.specials += port
-        near, ready = Signal(), Signal()
-        # A line of the cache begins at a multiple of its length: no carry leaves it.
-        word = Signal((LINE - 1).bit_length())
-        self.comb += [
-            near.eq(is_rom(master.adr)),
-            word.eq(master.adr + ready),
-            port.adr.eq(Cat(word, master.adr[len(word):])),
-            master.connect(bus, omit={"cyc", "dat_r", "ack"}),
-            bus.cyc.eq(master.cyc & ~near),
-            master.dat_r.eq(Mux(near, port.dat_r, bus.dat_r)),
-            master.ack.eq(Mux(near, ready & master.cyc & master.stb, bus.ack)),
-        ]
-        self.sync += ready.eq(near & master.cyc & master.stb & ~(ready & (master.cti != BURST)))
 
 
 class Elsewhere(SoCRegion):

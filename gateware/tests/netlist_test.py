@@ -85,7 +85,6 @@ def outputs(module, levels, floating):
 
 def main():
     seed = int(sys.argv[1]) if len(sys.argv) > 1 else 1
-    netlist.CROWDED = 0
     r, did = random.Random(seed), dict.fromkeys(("carries", "firsts", "luts"), 0)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "top.json"

@@ -68,6 +68,10 @@ for bench in "$here"/*.cpp; do
         top=$dir/sdram_bridge.v lint="-Wno-lint -Wno-style -Wno-COMBDLY"
         "$root/target/venv/bin/python" "$here/sdram_bridge_top.py" "$dir"
     fi
+    if [ "$core" = onchip ]; then  # ROM and RAM
+        top=$dir/onchip.v lint="-Wno-lint -Wno-style -Wno-COMBDLY"
+        "$root/target/venv/bin/python" "$here/onchip_top.py" "$dir"
+    fi
     stamp=$(cat "$bench" "$here"/*.h "$top" $more "$rtl"/*.sv | cksum)
     if [ ! -x "$dir/V$core" ] || [ "$(cat "$dir/stamp" 2>/dev/null)" != "$stamp" ]; then
         # PROCASSINIT: the cores rely on power-up values, which the ECP5 has; nothing else is

@@ -79,11 +79,10 @@ top = m.get("top", "sim")
 print("top=" + shlex.quote(top))
 print("verilog=(" + " ".join(shlex.quote(find(p)) for p in m["verilog"]) + ")")
 print("includes=(" + " ".join(shlex.quote(find(p)) for p in m.get("include_dirs", [])) + ")")
-text = "".join(open(find(p)).read() for p in m["verilog"])
-for key, usual in (("rom", "rom"), ("ram", "sram")):  # LiteX's names, unless the manifest knows better
-    sig = m.get(key + "_signal", usual if key == "rom" or f"] {usual}[" in text else "")
-    print(f"{key}_path=" + shlex.quote(sig))
-    print(f"{key}_name=" + shlex.quote(mangle(top, sig) if sig else ""))
+for key in ("rom", "ram"):  # arrays in the top module, one after the other
+    signals = m.get(key + "_signals", [])
+    print(f"{key}_signals=" + shlex.quote(" ".join(signals)))
+    print(f"{key}_names=" + shlex.quote(" ".join(mangle(top, signal) for signal in signals)))
 PY
 )"
 [ -n "${top:-}" ] || exit 1
@@ -96,7 +95,7 @@ if [ "$(uname -m)" = x86_64 ] && grep -qw avx2 /proc/cpuinfo && g++ -march=x86-6
     march=x86-64-v3
 fi
 cflags="-march=$march -fPIC -fvisibility=hidden -fno-semantic-interposition ${FERROCNC_SIM_CFLAGS:-}"
-stamp=$( { echo "$version $(g++ -dumpfullversion) $(uname -m) $cflags $trace $top $rom_name $ram_name";
+stamp=$( { echo "$version $(g++ -dumpfullversion) $(uname -m) $cflags $trace $top $rom_names $ram_names";
            grep -m1 'model name' /proc/cpuinfo || true;
            cat "$0" "$here/shim.cpp" "${verilog[@]}"; } | sha256sum | cut -d' ' -f1)
 if [ -z "$force" ] && [ -f "$out/$name" ] && [ "$(cat "$out/$name.sha256" 2>/dev/null)" = "$stamp" ]; then
@@ -112,12 +111,12 @@ mkdir -p "$obj"
 echo "sim: verilating $top (${#verilog[@]} files, $(cat "${verilog[@]}" | wc -l) lines) with $version"
 
 # The firmware is loaded into the ROM array at run time, so it must stay a variable with a name.
-module_of() { # hierarchical path -> the variable in the top module (deeper paths need the module's own name)
-    echo "${1##*.}"
+arrays() { # names in the root class -> arguments of the shim's Memory
+    printf '%s' "${*/#/root->}" | tr ' ' ','
 }
 {
     echo '`verilator_config'
-    echo "public_flat_rw -module \"$top\" -var \"$(module_of "$rom_path")\""
+    for signal in $rom_signals $ram_signals; do echo "public_flat_rw -module \"$top\" -var \"$signal\""; done
     # Where the CPU is: for profiles.
     if grep -q 'lastStagePc' "${verilog[@]}"; then
         echo 'public_flat_rd -module "VexRiscv" -var "lastStagePc"'
@@ -135,7 +134,6 @@ module_of() { # hierarchical path -> the variable in the top module (deeper path
         echo 'public_flat_rw -module "sdram_chip" -var "row_low"'
         echo 'public_flat_rw -module "sdram_chip" -var "mem"'
     fi
-    if [ -n "$ram_path" ]; then echo "public_flat_rw -module \"$top\" -var \"$(module_of "$ram_path")\""; fi
 } > "$obj/public.vlt"
 
 log=$obj/build.log
@@ -177,7 +175,7 @@ PY
         prev="-DFC_CLOCKS"
     fi
 fi
-for n in $rom_name $ram_name; do
+for n in $rom_names $ram_names; do
     grep -qE "\b$n\b" "$obj/Vsoc___024root.h" || die "the manifest names $n, but the verilated model has no such array"
 done
 
@@ -197,8 +195,8 @@ case $trace in fst) tracedef="-DFC_TRACE_FST -I$include/gtkwave" ;; vcd) tracede
 objects=$(ls "$obj"/verilated*.o)
 # shellcheck disable=SC2086
 g++ -O3 -std=gnu++17 $cflags -fvisibility=default -shared -I"$include" -I"$include/vltstd" -I"$obj" \
-    -DFC_MODEL=Vsoc -DFC_HEADER='"Vsoc.h"' -DFC_ROOT_HEADER='"Vsoc___024root.h"' -DFC_ROM="$rom_name" \
-    ${ram_name:+-DFC_RAM=$ram_name} ${pc:+-DFC_PC=$pc -DFC_PC_VALID=${pc%Pc}IsValid} \
+    -DFC_MODEL=Vsoc -DFC_HEADER='"Vsoc.h"' -DFC_ROOT_HEADER='"Vsoc___024root.h"' -DFC_ROM="$(arrays $rom_names)" \
+    -DFC_RAM="$(arrays $ram_names)" ${pc:+-DFC_PC=$pc -DFC_PC_VALID=${pc%Pc}IsValid} \
     ${begun:+-DFC_BEGUN=$begun -DFC_LEVEL=${begun%begun}level} \
     ${data_low:+-DFC_DATA_LOW=$data_low -DFC_DATA_HIGH=${data_low%low}high -DFC_ROW_LOW=${data_low%data_low}row_low} \
     ${data_low:+-DFC_SDRAM=${data_low%data_low}mem} $prev $tracedef "$here/shim.cpp" "$obj/Vsoc__ALL.a" $objects \

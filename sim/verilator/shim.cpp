@@ -6,7 +6,7 @@
 // change both, and ABI_VERSION with them.
 //
 // build.sh names the model Vsoc and defines: FC_MODEL (class), FC_HEADER, FC_ROOT_HEADER, FC_ROM
-// (array in the root), FC_RAM (likewise, optional), FC_PC and FC_PC_VALID (optional), FC_BEGUN and
+// and FC_RAM (arrays of `root`, one after the other; there may be no RAM), FC_PC and FC_PC_VALID (optional), FC_BEGUN and
 // FC_LEVEL (optional), FC_DATA_LOW, FC_DATA_HIGH, FC_ROW_LOW and FC_SDRAM (optional), FC_CLOCKS
 // with a generated fc_clocks.h (Verilator's memory of each clock's last level), FC_TRACE_FST or
 // FC_TRACE_VCD.
@@ -56,6 +56,23 @@ struct Pins {
     uint8_t spi_cs_n, spi_clk, spi_mosi, reserved_out;
 };
 static_assert(sizeof(Pins) == 48, "mirrored in sim/src/soc.rs");
+
+// A memory that is several arrays, one after the other: how many words, and the one at `index`.
+template <typename... Arrays> uint32_t words_of(Arrays&... arrays) {
+    return static_cast<uint32_t>((sizeof(arrays) + ... + 0) / 4);
+}
+
+template <typename... Arrays> uint32_t* word_of(uint32_t index, Arrays&... arrays) {
+    uint32_t* found = nullptr;
+    uint32_t first = 0;
+    auto look = [&](auto& array) {
+        const auto words = static_cast<uint32_t>(sizeof(array) / 4);
+        if (index >= first && index < first + words) found = &array[index - first];
+        first += words;
+    };
+    (look(arrays), ...);
+    return found;
+}
 
 // What sits at the flash's wires: told every level of CS and SCK that is new, with MOSI as it
 // stands; answers with MISO's.
@@ -233,30 +250,24 @@ void fc_on_spi(void* handle, OnSpi on_spi, void* context) {
 }
 
 uint32_t fc_rom_words(void* handle) {
-    return static_cast<uint32_t>(sizeof(static_cast<Soc*>(handle)->model->rootp->FC_ROM) / 4);
+    auto* root = static_cast<Soc*>(handle)->model->rootp;
+    return words_of(FC_ROM);
 }
 
 void fc_rom_write(void* handle, uint32_t index, uint32_t word) {
-    static_cast<Soc*>(handle)->model->rootp->FC_ROM[index] = word;
+    auto* root = static_cast<Soc*>(handle)->model->rootp;
+    *word_of(index, FC_ROM) = word;
 }
 
 // On-chip RAM, for stack watermarks. Zero words when the manifest does not name it.
 uint32_t fc_ram_words(void* handle) {
-#if defined(FC_RAM)
-    return static_cast<uint32_t>(sizeof(static_cast<Soc*>(handle)->model->rootp->FC_RAM) / 4);
-#else
-    (void)handle;
-    return 0;
-#endif
+    auto* root = static_cast<Soc*>(handle)->model->rootp;
+    return words_of(FC_RAM);
 }
 
 uint32_t fc_ram_read(void* handle, uint32_t index) {
-#if defined(FC_RAM)
-    return static_cast<Soc*>(handle)->model->rootp->FC_RAM[index];
-#else
-    (void)handle, (void)index;
-    return 0;
-#endif
+    auto* root = static_cast<Soc*>(handle)->model->rootp;
+    return *word_of(index, FC_RAM);
 }
 
 // Address of the instruction that is leaving the CPU's pipeline in this clock; all ones when none
