@@ -485,9 +485,9 @@ Lcnc's eight configurations and `max`, placed and routed on an LFE5U-25F, speed 
 tools of `gateware/requirements.txt`: the lowest seed with at least {slack:g} % slack on every clock. A
 clock that misses its constraint fails the build. `eth` is the RGMII clock, 125 MHz; `sys` is the
 processor's and all cores'. COMB are the chip's LUT places, what the placer fills (24 288), EBR its
-block RAMs (56), DSP its multipliers (28). Minutes are those of yosys, of nextpnr and for `max` of
-our router (decision 11) for all seeds up to that one, on one core of the computer that wrote this
-page, beside its other work.
+block RAMs (56), DSP its multipliers (28). Minutes are those of yosys, of nextpnr and of our router
+(decision 11) for all seeds up to that one, on one core of the computer that wrote this page, beside
+its other work.
 
 `max` is the largest board there can be, 16 step generators, 16 encoders, 16 PWM, 32 + 32 I/O. No
 5A-75B has pins for it: its inputs come from a shift register behind one pad and its outputs leave

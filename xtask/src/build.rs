@@ -216,7 +216,7 @@ pub const BOARD_TESTS: [&str; 8] = [
     "ferrocnc-tests/board,ferrocnc-sim/board",
 ];
 
-/// The router crowded boards need (decision 11). Returns where it is.
+/// The router of every board (decision 11). Returns where it is.
 pub fn router() -> Result<PathBuf> {
     let mut build = Command::new("cargo");
     build.args(["build", "--release", "--package", "ferrocnc-router"]);
