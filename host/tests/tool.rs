@@ -129,3 +129,27 @@ fn one_console_command_gives_its_answer_without_prompts() {
     assert_eq!(text, "state disarmed\nuptime 3 s\n");
     assert_eq!(server.join().unwrap(), "status\r\n");
 }
+
+#[test]
+fn completions_and_manual_pages_name_every_command() {
+    let commands = ["config", "job", "describe", "doctor", "flash", "update"];
+    let bash = answer(&["completions", "bash"]);
+    for command in commands {
+        assert!(bash.contains(&format!("ferrocnc,{command})")), "{command}");
+    }
+    let folder = std::env::temp_dir().join(format!("ferrocnc-man-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    answer(&["man", folder.to_str().unwrap()]);
+    let page = |name: &str| std::fs::read_to_string(folder.join(name)).unwrap_or_default();
+    let first = page("ferrocnc.1");
+    let sending = page("ferrocnc-job-send.1");
+    let pages = commands.map(|command| page(&format!("ferrocnc-{command}.1")));
+    std::fs::remove_dir_all(&folder).unwrap();
+    for (command, page) in commands.iter().zip(pages) {
+        assert!(page.contains(&format!("ferrocnc {command}")), "{command}: {page}");
+        assert!(first.contains(&format!("ferrocnc\\-{command}(1)")), "{first}");
+    }
+    assert!(sending.contains(".SH SYNOPSIS"), "{sending}");
+    let missing = complaint(&["man", "/nonexistent"]);
+    assert!(missing.contains("/nonexistent is no folder; make it first"));
+}

@@ -14,6 +14,7 @@ mod flash;
 mod job;
 mod key;
 mod log;
+mod manual;
 #[cfg(test)]
 mod pages;
 mod progress;
@@ -119,6 +120,10 @@ enum Command {
         #[arg(short, long, value_name = "COMMAND")]
         command: Option<String>,
     },
+    /// Completions of the commands for a shell: `ferrocnc completions bash > FILE`.
+    Completions(manual::Completions),
+    /// The manual pages of the commands, written to a folder.
+    Man(manual::Manual),
 }
 
 fn main() -> ExitCode {
@@ -162,6 +167,8 @@ fn run(arguments: &Arguments) -> Result<()> {
             let address = parse(address, wire::CONSOLE_PORT)?;
             console::run(&address, command.as_deref(), json)
         }
+        Command::Completions(arguments) => manual::completions(arguments),
+        Command::Man(arguments) => manual::manual(arguments),
     }
 }
 
