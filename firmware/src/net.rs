@@ -42,6 +42,8 @@ const OPTIONS_MAX: usize = 10;
 pub(crate) const UDP_HEADER: usize = 8;
 /// UDP port of DHCP clients.
 pub const DHCP_CLIENT: u16 = 68;
+/// UDP port of DHCP servers.
+pub const DHCP_SERVER: u16 = 67;
 const ETHERNET_HEADER: usize = 14;
 
 /// Longest ping that is answered while the machine is not at rest: to sum, copy and answer one
@@ -251,12 +253,12 @@ pub fn sender(frame: &impl Frame) -> (u16, u32) {
     ((w2 >> 16) as u16, w2 << 16 | w3 >> 16)
 }
 
-/// Does this frame of [`Class::Services`] come to a DHCP client?
+/// Does this frame of [`Class::Services`] come from a DHCP server to a client?
 fn comes_from_dhcp(frame: &impl Frame) -> bool {
     let udp = frame.word(3) & 0xffff == ETHERTYPE_IPV4
         && frame.word(6) >> 16 & 0xff == PROTOCOL_UDP
         && frame.word(4) >> 24 == IPV4_IHL5 >> 24;
-    udp && frame.word(9) as u16 == DHCP_CLIENT
+    udp && frame.word(9) == u32::from(DHCP_SERVER) << 16 | u32::from(DHCP_CLIENT)
 }
 
 /// Where a frame is addressed to.

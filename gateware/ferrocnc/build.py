@@ -600,17 +600,21 @@ def bench(root, out, report=None, seed=None, document=None):
 _SIZE_DOC = """<!-- Written by `cargo xtask bench gateware`; do not edit. -->
 # Size
 
-What the gateware costs on an LFE5U-25F-6 (24 288 TRELLIS_COMB, 24 288 FF, 56 EBR, 28 DSP), with the tools of
-`gateware/requirements.txt`. COMB is counted after packing: LUTs, two for each carry cell and those that lead in and out of a carry
-chain, four and two for each LUT RAM. It is what the placer has to find room for, and the figure to compare.
+What the gateware costs on an LFE5U-25F-6 (24 288 TRELLIS_COMB, 24 288 FF, 56 EBR, 28 DSP), with the
+tools of `gateware/requirements.txt`. COMB is counted after packing: LUTs, two for each carry cell
+and those that lead in and out of a carry chain, four and two for each LUT RAM. It is what the
+placer has to find room for, and the figure to compare.
 
-A core is measured alone; `wide_counter`, `edges` and `gpio` are there once for all channels (16, 16, 32 + 32), each encoder has two
-`debounce` inside, each encoder and each step generator a `latch` beside it. `segments` (3 axes) is on boards with jobs only. `max` has no pins on a 5A-75B: its inputs come from a
-shift register behind one pad and its outputs leave as a parity through another, so that nothing is optimised away (about 40 LUTs).
-It is packed here; what it reaches when it is placed and routed is in [timing.md](timing.md).
+A core is measured alone; `wide_counter`, `edges` and `gpio` are there once for all channels (16,
+16, 32 + 32), each encoder has two `debounce` inside, each encoder and each step generator a `latch`
+beside it. `segments` (3 axes) is on boards with jobs only. `max` has no pins on a 5A-75B: its
+inputs come from a shift register behind one pad and its outputs leave as a parity through another,
+so that nothing is optimised away (about 40 LUTs). It is packed here; what it reaches when it is
+placed and routed is in [timing.md](timing.md).
 
-The peers' figures are of the same tools and the same channels: 6 step generators, 6 encoders, 6 PWM, 12 + 12 I/O, 40 MHz,
-Etherbone in gateware and no CPU. LiteX-CNC was placed and routed once; Lcnc was elaborated and simulated, never placed.
+The peers' figures are of the same tools and the same channels: 6 step generators, 6 encoders, 6
+PWM, 12 + 12 I/O, 40 MHz, Etherbone in gateware and no CPU. LiteX-CNC was placed and routed once;
+Lcnc was elaborated and simulated, never placed.
 
 """
 

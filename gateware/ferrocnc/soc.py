@@ -118,8 +118,8 @@ class FerroSoC(SoCCore):
     def _add_memories(self, rom_init):
         """The RAM, and the ROM, which comes between the CPU and its instruction bus."""
         rom, ram = (SoCRegion(origin=origin, size=size, mode=mode) for (origin, size), mode in ((rm.ROM, "rx"), (rm.RAM, "rwx")))
-        # Random words: a constant ROM is optimised away, and ecpbram finds the image's place by this
-        # pattern.
+        # Random words: a constant ROM is optimised away, and ecpbram finds the image's place by
+        # this pattern.
         self.rom = Rom("rom", rm.ROM_PARTS, rom_init or random_words(rm.ROM[1] // 4), rom.decoder(self.bus), self.cpu.ibus)
         self.sram = Ram("sram", rm.RAM_PARTS)
         self.bus.add_slave("rom", self.rom.bus, rom)

@@ -20,6 +20,8 @@ using Words = std::vector<uint32_t>;
 static const uint64_t SYS = 16667, ETH = 8000;
 // Clocks from the last byte of a command to the first of its answer: preamble, as seen at the pins.
 static const unsigned TURNAROUND = 17;
+// From there to the commit.
+static const unsigned COMMIT = 8;
 
 static const uint8_t OURS[6] = {0x12, 0xe2, 0xd5, 0, 0, 1}, THEIRS[6] = {2, 0xfc, 0, 0, 2, 1};
 static const uint32_t OUR_IP = 0xc0a80232, THEIR_IP = 0xc0a80201, OUR_PORT = 1234, THEIR_PORT = 40000;
@@ -76,7 +78,9 @@ struct Board {
     Bytes leaving;
     std::vector<Bytes> answers;
     bool was_leaving = false;
-    uint32_t inputs = 0;
+    uint32_t inputs = 0, stopped = 0;  // lines that change, and emergency stops that are pressed
+    bool watches_gate = false, was_open = false;
+    uint64_t committed = 0;
     unsigned taken = 0, commits = 0, held = 0, longest_access = 0;
     uint64_t accesses = 0;
     unsigned stepgens = 0, encoders = 0, pwms = 0;
@@ -129,7 +133,11 @@ struct Board {
             }
         }
         pins->sys_clk = pins->eth_clk = 0, pins->eval();
-        if (sys) taken += pins->see_taken, commits += pins->see_commit, held += pins->see_hold;
+        if (!sys) return;
+        taken += pins->see_taken, commits += pins->see_commit, held += pins->see_hold;
+        CHECK(*this, !watches_gate || !pins->see_commit || was_open, "a commit behind a closed gate");
+        if (pins->see_commit) committed = now;
+        was_open = pins->gate;
     }
     // Encoders and inputs change all the time.
     void turn() {
@@ -140,7 +148,7 @@ struct Board {
             const int at = gray[(clocks / 11 + n * 7 / 3) & 3];
             a |= (at & 1) << n, b |= (at >> 1) << n;
         }
-        pins->enc_a = a, pins->enc_b = b, pins->gpio_in = (uint32_t)(clocks * 2654435761u) & inputs;
+        pins->enc_a = a, pins->enc_b = b, pins->gpio_in = ((uint32_t)(clocks * 2654435761u) & inputs) | stopped;
     }
     void wire_clock() {
         pins->gmii_rx_dv = sent < wire.size() && wire[sent].second;
@@ -344,6 +352,7 @@ struct Board {
         CHECK(*this, read("fast_path.status") == EXECUTED, "status %x behind an executed command", read("fast_path.status"));
         CHECK(*this, !pending(), "an executed command lies in a slot");
         const uint64_t took = first_out - last_in;
+        CHECK(*this, byte != ETH || committed - last_in <= COMMIT * SYS, "committed %llu clocks behind the last byte", (unsigned long long)((committed - last_in) / SYS));
         check_answer(sequence, words);
         return (took + SYS - 1) / SYS;
     }
@@ -396,7 +405,10 @@ struct Board {
         left_alone("bad IP checksum", odd([](Odd &o) { o.bad_ip_sum = true; }), true);
         for (int n : {1, 2, 3, 4, 5, 8, 60}) {
             left_alone("too short", odd([&](Odd &o) { o.cut = n; }), true);
+            // Without a checksum only the length tells.
+            left_alone("too short", odd([&](Odd &o) { o.cut = n, o.no_sum = true; }), true);
             left_alone("too long", odd([&](Odd &o) { o.more = n; }), true);
+            left_alone("too long", odd([&](Odd &o) { o.more = n, o.no_sum = true; }), true);
         }
         left_alone("first of a fragment", odd([](Odd &o) { o.fragment = 0x2000; }), true);
         left_alone("behind in a fragment", odd([](Odd &o) { o.fragment = 1; }), true);
@@ -417,22 +429,38 @@ struct Board {
         // The same again: the pass is used up.
         left_alone("twice", frame(good), true);
     }
-    unsigned each_bit() {
-        const uint32_t number = ++sequence;
-        const Words good = any(number);
-        const Bytes f = frame(good);
-        hand_out(number);
-        const unsigned bits = 8 * (f.size() - 4);
-        for (unsigned bit = 0; bit < bits; bit++) {
-            Bytes g(f.begin(), f.end() - 4);
-            g[bit / 8] ^= 1 << bit % 8;
-            write("watchdog.token", bit);
-            forget(), send(with_fcs(g)), quiet();
-            CHECK(*this, !taken && !commits && answers.empty(), "executed with bit %u turned over", bit);
-            while (pending()) release();
-            write("rx_admission.admit", 1);
+    // Each bit turned over, with a right FCS. With a checksum none is executed; without one those
+    // are that firmware's words leave open, such as a velocity.
+    unsigned each_bit(unsigned &open) {
+        unsigned bits = 0;
+        Odd odd;
+        for (bool no_sum : {false, true}) {
+            odd.no_sum = no_sum;
+            Words words;
+            Bytes good;
+            auto next = [&] { words = any(++sequence), good = frame(words, odd), hand_out(sequence); };
+            next();
+            for (unsigned bit = 0; bit < 8 * (good.size() - 4); bit++, bits++) {
+                Bytes g(good.begin(), good.end() - 4);
+                g[bit / 8] ^= 1 << bit % 8;
+                g = with_fcs(g);
+                const bool like = is_like(g, good);
+                CHECK(*this, no_sum || !like, "bit %u is like the pass", bit);
+                write("watchdog.token", bit);
+                forget(), send(g), quiet();
+                CHECK(*this, taken == like && commits == like && answers.size() == like, "bit %u turned over: executed %u times", bit, taken);
+                while (pending()) release();
+                write("rx_admission.admit", 1);
+                if (like) open++, next();
+            }
+            // The FCS itself.
+            for (unsigned bit = 0; bit < 32; bit++, bits++) {
+                Bytes g = good;
+                g[g.size() - 4 + bit / 8] ^= 1 << bit % 8;
+                left_alone("a bit of the FCS turned over", g, false);
+            }
+            exchange(words, odd);
         }
-        exchange(good);
         return bits;
     }
     // Whether firmware's words say that a frame is to be executed.
@@ -580,25 +608,44 @@ struct Board {
     // What happens in the clocks around the frame's end, and firmware's part in them.
     void around_the_end(unsigned rounds, unsigned &yes, unsigned &no, const std::function<void()> &act, const std::function<void(bool)> &check) {
         for (unsigned n = 0; n < rounds; n++) {
-            arm();
-            const Words words = any(++sequence);
-            hand_out(sequence), forget(), send(frame(words));
             const uint64_t bytes = 12 + random.below(6);
-            while (to_send() > bytes) step();
-            for (unsigned k = random.below(50); k; k--) step();
-            act();
-            quiet();
-            const bool executed = taken;
-            CHECK(*this, answers.size() == executed && pending() != executed, "executed %d, %zu answers, %s", executed, answers.size(), pending() ? "in a slot" : "in no slot");
-            check(executed);
-            executed ? yes++ : no++;
-            while (pending()) release();
-            write("fast_path.revoke", 1);
+            around_one_end(bytes, random.below(50), yes, no, act, check);
         }
     }
+    // The frame has so many bytes to come; then `act` comes so many edges later.
+    // The frame has so many bytes to come; `act` comes so many edges later.
+    void around_one_end(uint64_t bytes, unsigned edges, unsigned &yes, unsigned &no, const std::function<void()> &act, const std::function<void(bool)> &check) {
+        arm();
+        const Words words = any(++sequence);
+        hand_out(sequence), forget(), send(frame(words));
+        while (to_send() > bytes) step();
+        for (unsigned k = edges; k; k--) step();
+        act();
+        quiet();
+        const bool executed = taken;
+        CHECK(*this, answers.size() == executed && pending() != executed, "executed %d, %zu answers, %s", executed, answers.size(), pending() ? "in a slot" : "in no slot");
+        check(executed);
+        executed ? yes++ : no++;
+        while (pending()) release();
+        write("fast_path.revoke", 1);
+    }
+    // At every edge around the frame's end the CPU closes the gate, the external reset does, an
+    // emergency stop does: executed in time or not at all, and no commit behind a closed gate.
     void gate_closes(unsigned &yes, unsigned &no) {
-        around_the_end(80, yes, no, [&] { write("watchdog.control", STOP); }, [](bool) {});
-        around_the_end(40, yes, no, [&] { pins->ext_reset = 1, run(3), pins->ext_reset = 0; }, [](bool) {});
+        const uint32_t stops = read("gpio.estop_mask");
+        const std::function<void()> closes[] = {
+            [&] { write("watchdog.control", STOP); },
+            [&] { pins->ext_reset = 1, run(3), pins->ext_reset = 0; },
+            [&] { stopped = stops, run(30), stopped = 0; },
+        };
+        watches_gate = true;
+        for (const auto &act : closes) {
+            unsigned done = 0, left = 0;
+            for (unsigned edges = 0; edges < 120; edges++) around_one_end(22, edges, done, left, act, [](bool) {});
+            CHECK(*this, (done && left) || (!stops && &act == &closes[2]), "executed %u, left %u: not around the end", done, left);
+            yes += done, no += left;
+        }
+        watches_gate = false;
         arm();
     }
     void revoked(unsigned &yes, unsigned &no) {
@@ -720,11 +767,12 @@ struct Board {
         CHECK(*this, closed[0] && closed[1] && back[0] && back[1], "not around the end: %u %u %u %u", closed[0], closed[1], back[0], back[1]);
         cut_and_reset();
         hangs(1000);
-        const unsigned bits = each_bit();
+        unsigned open = 0;
+        const unsigned bits = each_bit(open);
         const unsigned executed = random_frames();
-        printf("PASS fast_path: turnaround %u clocks, %u at 10 Mbit/s; %u bits turned over; gate closed around the end %u, revoked %u times, executed %u and %u; hung 1000 times; "
+        printf("PASS fast_path: turnaround %u clocks, %u at 10 Mbit/s; %u bits turned over, %u of them left open; gate closed around the end %u, revoked %u times, executed %u and %u; hung 1000 times; "
                "%llu random frames, %u like the pass; %u+%u+%u channels, %.1f Mclk in %.1f s, seed %llu\n",
-               longest, slow, bits, closed[0] + closed[1], back[0] + back[1], closed[0], back[0], (unsigned long long)frames, executed, stepgens, encoders, pwms, clocks / 1e6,
+               longest, slow, bits, open, closed[0] + closed[1], back[0] + back[1], closed[0], back[0], (unsigned long long)frames, executed, stepgens, encoders, pwms, clocks / 1e6,
                double(clock() - began) / CLOCKS_PER_SEC, (unsigned long long)seed);
         return 0;
     }

@@ -6,10 +6,10 @@
 // change both, and ABI_VERSION with them.
 //
 // build.sh names the model Vsoc and defines: FC_MODEL (class), FC_HEADER, FC_ROOT_HEADER, FC_ROM
-// and FC_RAM (arrays of `root`, one after the other; there may be no RAM), FC_PC and FC_PC_VALID (optional), FC_BEGUN and
-// FC_LEVEL (optional), FC_DATA_LOW, FC_DATA_HIGH, FC_ROW_LOW and FC_SDRAM (optional), FC_CLOCKS
-// with a generated fc_clocks.h (Verilator's memory of each clock's last level), FC_TRACE_FST or
-// FC_TRACE_VCD.
+// and FC_RAM (arrays of `root`, one after the other; there may be no RAM), FC_PC and FC_PC_VALID
+// (optional), FC_BEGUN and FC_LEVEL (optional), FC_DATA_LOW, FC_DATA_HIGH, FC_ROW_LOW and FC_SDRAM
+// (optional), FC_CLOCKS with a generated fc_clocks.h (Verilator's memory of each clock's last
+// level), FC_TRACE_FST or FC_TRACE_VCD.
 
 #include <cstddef>
 #include <cstdint>

@@ -27,6 +27,10 @@ pub const LONGEST: usize = 1514;
 const PING_ARMED: [usize; 2] = [86, 214];
 /// Bytes in segments of TCP with such frames.
 const TCP_ARMED: [usize; 2] = [74, 202];
+/// Ports of a server and a client of DHCP, and bytes in the longest frame that is taken from one
+/// while the machine moves.
+const DHCP: (u16, u16) = (67, 68);
+const DHCP_LONGEST: usize = 350 - 42;
 /// Servo periods for a handshake with the console.
 const HANDSHAKE: usize = 20;
 /// More than the pieces of the longest answer of a console, with their acknowledgements.
@@ -75,6 +79,8 @@ pub enum Kind {
     TcpArmed,
     /// Short and long ones at the port of jobs.
     Jobs,
+    /// To the port of DHCP clients, as from a server or not, as long as a lease's answer.
+    Dhcp,
     /// A part of a datagram to the board's port.
     Fragment,
     /// Any of these.
@@ -82,7 +88,7 @@ pub enum Kind {
 }
 
 /// All of them; [`Kind::Mix`] is the last.
-pub const KINDS: [Kind; 20] = [
+pub const KINDS: [Kind; 21] = [
     Kind::Arp,
     Kind::ShortRead,
     Kind::LongRead,
@@ -101,6 +107,7 @@ pub const KINDS: [Kind; 20] = [
     Kind::Tcp,
     Kind::TcpArmed,
     Kind::Jobs,
+    Kind::Dhcp,
     Kind::Fragment,
     Kind::Mix,
 ];
@@ -211,6 +218,11 @@ impl BenchMachine {
                 self.tcp(to, flags, length, rng)
             }
             Kind::Jobs => self.short_or_long(wire::jobs::PORT, short, rng),
+            Kind::Dhcp => {
+                let from = if short { DHCP.0 } else { rng.random() };
+                let length = rng.random_range(300..=DHCP_LONGEST);
+                self.udp((INTRUDER_IP, from), DHCP.1, &vec![1; length])
+            }
             Kind::Fragment => {
                 let fragment = *[0x2000, 0x2001, 0x0001, 0x1fff].choose(rng).unwrap_or(&1);
                 gmii::encode(&self.ip(

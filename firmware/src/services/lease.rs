@@ -16,7 +16,7 @@ use wire::Name;
 /// UDP port of clients.
 pub const PORT: u16 = crate::net::DHCP_CLIENT;
 /// UDP port of servers.
-pub const SERVER_PORT: u16 = 67;
+pub const SERVER_PORT: u16 = crate::net::DHCP_SERVER;
 /// Option: the client's name.
 const HOST_NAME: u8 = 12;
 /// Three tries before the board uses its static address.

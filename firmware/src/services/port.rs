@@ -15,7 +15,7 @@
 use super::console::{Console, PIECE_MAX, Reader, Visit};
 use super::line_editor::LINE_MAX;
 use super::shut::{NOD, nod};
-use super::stack::Stack;
+use super::stack::{Stack, udp_ports};
 use super::status::{self, Status};
 use super::{Network, facts, http, lease};
 use crate::net::GUEST_FRAME_SERVICES;
@@ -117,14 +117,6 @@ impl Place<'_> {
             buffers: [0; BUFFERS],
         }
     }
-}
-
-/// The destination port, if this is UDP.
-fn udp_port(frame: &[u8]) -> Option<u16> {
-    let udp = frame.get(12..14)? == [8, 0] && *frame.get(23)? == 17;
-    let at = 14 + usize::from(frame.get(14)? & 15) * 4;
-    let port = frame.get(at + 2..)?.first_chunk()?;
-    udp.then(|| u16::from_be_bytes(*port))
 }
 
 /// The other end of a connection.
@@ -441,15 +433,20 @@ impl<'m> Port<'m> {
         let now = out.now();
         let (instant, ms) = self.clock.pass(now);
         let nowhere = self.settle(out);
-        if let Some(lease) = &mut self.lease
-            && udp_port(frame) == Some(lease::PORT)
-        {
-            return lease.take(frame, &mut self.stack, instant, out);
+        if let Some((from, lease::PORT)) = udp_ports(frame) {
+            // smoltcp would tell the sender of any other that the port is closed, and quote the
+            // whole frame, which may be longer than others while the machine moves.
+            return match &mut self.lease {
+                Some(lease) if from == lease::SERVER_PORT => {
+                    lease.take(frame, &mut self.stack, instant, out);
+                }
+                _ => self.strangers = self.strangers.wrapping_add(1),
+            };
         }
         if nowhere {
             return;
         }
-        if let Some(port) = udp_port(frame).filter(|port| Status::listens(*port)) {
+        if let Some((_, port)) = udp_ports(frame).filter(|(_, to)| Status::listens(*to)) {
             self.strangers = self.strangers.wrapping_add(1);
             let stack = &mut self.stack;
             return self.status.frame((port, frame), stack, instant, out);

@@ -186,3 +186,10 @@ impl<O: Network> Device for Wire<'_, O> {
         capabilities
     }
 }
+/// The ports a frame comes from and goes to, if it is UDP.
+pub(super) fn udp_ports(frame: &[u8]) -> Option<(u16, u16)> {
+    let udp = frame.get(12..14)? == [8, 0] && *frame.get(23)? == 17;
+    let at = 14 + usize::from(frame.get(14)? & 15) * 4;
+    let [a, b, c, d] = *frame.get(at..)?.first_chunk()?;
+    udp.then_some((u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d])))
+}

@@ -44,14 +44,16 @@ fn content(answer: &str) -> &str {
     answer.split_once("\r\n\r\n").expect("a head").1
 }
 
-/// A datagram to the group, or to the board alone.
+/// A datagram of mDNS to the group, or to the board alone.
 fn datagram(to: u32, payload: &[u8]) -> Vec<u8> {
+    between((PORT, PORT), to, payload)
+}
+
+/// A datagram between these ports.
+fn between((src_port, dst_port): (u16, u16), to: u32, payload: &[u8]) -> Vec<u8> {
     let sums = ChecksumCapabilities::default();
     let to = Ipv4Address::from_bits(to);
-    let udp = UdpRepr {
-        src_port: PORT,
-        dst_port: PORT,
-    };
+    let udp = UdpRepr { src_port, dst_port };
     let ip = Ipv4Repr {
         src_addr: CLIENT,
         dst_addr: to,
@@ -256,4 +258,16 @@ fn garbage_at_the_port_of_names_disturbs_no_console() {
         }
         assert!(visitor.is_heard(&mut board), "{length} bytes");
     }
+}
+
+#[test]
+fn what_comes_to_the_port_of_dhcp_clients_without_one_has_no_answer() {
+    let mut board = board();
+    for (from, length) in [(67, 300), (68, 300), (4000, 4)] {
+        let sent = board.frame(&between((from, 68), US.ip, &vec![1; length]));
+        // smoltcp tells the sender that another port is closed, and quotes its frame.
+        assert_eq!(sent, Vec::<Vec<u8>>::new(), "from port {from}");
+    }
+    let sent = board.frame(&between((4000, 69), US.ip, &[1; 4]));
+    assert!(sent.iter().any(|frame| frame[23] == 1), "ICMP: {sent:?}");
 }
