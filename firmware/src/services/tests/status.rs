@@ -265,9 +265,8 @@ fn what_comes_to_the_port_of_dhcp_clients_without_one_has_no_answer() {
     let mut board = board();
     for (from, length) in [(67, 300), (68, 300), (4000, 4)] {
         let sent = board.frame(&between((from, 68), US.ip, &vec![1; length]));
-        // smoltcp tells the sender that another port is closed, and quotes its frame.
         assert_eq!(sent, Vec::<Vec<u8>>::new(), "from port {from}");
     }
     let sent = board.frame(&between((4000, 69), US.ip, &[1; 4]));
-    assert!(sent.iter().any(|frame| frame[23] == 1), "ICMP: {sent:?}");
+    assert_ne!(sent, Vec::<Vec<u8>>::new(), "another port is closed");
 }
