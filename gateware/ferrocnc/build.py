@@ -481,17 +481,19 @@ def _summary(found):
 _TIMING_DOC = """<!-- Written by `cargo xtask bitstream --all`; do not edit. -->
 # Timing
 
-Lcnc's eight configurations and `max`, placed and routed on an LFE5U-25F, speed grade -6, with the
-tools of `gateware/requirements.txt`: the lowest seed with at least {slack:g} % slack on every clock. A
-clock that misses its constraint fails the build. `eth` is the RGMII clock, 125 MHz; `sys` is the
-processor's and all cores'. COMB are the chip's LUT places, what the placer fills (24 288), EBR its
-block RAMs (56), DSP its multipliers (28). Minutes are those of yosys, of nextpnr and of our router
-(decision 11) for all seeds up to that one, on one core of the computer that wrote this page, beside
-its other work.
+Lcnc's eight configurations, placed and routed on an LFE5U-25F, speed grade -6, with the tools of
+`gateware/requirements.txt`: the lowest seed with at least {slack:g} % slack on every clock. A clock that
+misses its constraint fails the build. `eth` is the RGMII clock, 125 MHz; `sys` is the processor's
+and all cores'. COMB are the chip's LUT places, what the placer fills (24 288), EBR its block RAMs
+(56), DSP its multipliers (28). Minutes are those of yosys, of nextpnr and of our router (decision
+11) for all seeds up to that one, on one core of the computer that wrote this page, beside its other
+work.
 
-`max` is the largest board there can be, 16 step generators, 16 encoders, 16 PWM, 32 + 32 I/O. No
-5A-75B has pins for it: its inputs come from a shift register behind one pad and its outputs leave
-as a parity through another.
+`max`, 16 step generators, 16 encoders, 16 PWM, 32 + 32 I/O, is the largest board that can be
+simulated. It has no pins on a card. It is packed ([size](size.md)) but does not route since the
+gateware answers the exchange itself: some 3000 wires around the processor stay shared
+([decision 30](decisions/0030-the-rom-in-two-parts.md)). The largest boards that route have 9 step
+generators, 9 encoders and 8 PWM.
 
 """
 
@@ -609,8 +611,8 @@ A core is measured alone; `wide_counter`, `edges` and `gpio` are there once for 
 16, 32 + 32), each encoder has two `debounce` inside, each encoder and each step generator a `latch`
 beside it. `segments` (3 axes) is on boards with jobs only. `max` has no pins on a 5A-75B: its
 inputs come from a shift register behind one pad and its outputs leave as a parity through another,
-so that nothing is optimised away (about 40 LUTs). It is packed here; what it reaches when it is
-placed and routed is in [timing.md](timing.md).
+so that nothing is optimised away (about 40 LUTs). It is packed here, and does not
+route ([timing](timing.md)).
 
 The peers' figures are of the same tools and the same channels: 6 step generators, 6 encoders, 6
 PWM, 12 + 12 I/O, 40 MHz, Etherbone in gateware and no CPU. LiteX-CNC was placed and routed once;

@@ -116,7 +116,11 @@ class Gates:
         self.board, self.undefined, self.blob = board, undefined, blob
         (module,) = design["modules"].values()
         self.cells = {name: cell for name, cell in module["cells"].items() if cell["type"] != "$scopeinfo"}
-        self.ports = {port: [f"n{bit}" for bit in found["bits"]] for port, found in module["ports"].items()}
+        # nextpnr keeps no ports of a netlist that it did not pack itself: a pad is the net at its
+        # cell.
+        names = {bit: name for name, found in module["netnames"].items() for bit in found["bits"]}
+        pads = (cell["connections"]["B"][0] for cell in self.cells.values() if cell["type"] == "TRELLIS_IO")
+        self.ports = {f"n{bit}": names[bit] for bit in pads}
         self.declared, self.assigned, self.clocked = [], [], {}
         self.memories, self.found = [], {}
         self.alias, self.rom_columns, self.rom_bits = {}, None, 0
@@ -138,7 +142,7 @@ class Gates:
         pin = {"DCCA": ("CLKO", "CLKI"), "EHXPLLL": ("CLKOP", None)}.get(cell["type"])
         if pin:
             self.alias[f"n{cell['connections'][pin[0]][0]}"] = "sys_clk" if pin[1] is None else f"n{cell['connections'][pin[1]][0]}"
-        if cell["type"] == "TRELLIS_IO" and cell["connections"]["B"][0] in (int(bit[1:]) for bit in self.ports["eth_clocks0_rx"]):
+        if cell["type"] == "TRELLIS_IO" and self.ports[f"n{cell['connections']['B'][0]}"] == "eth_clocks0_rx":
             self.alias[f"n{cell['connections']['O'][0]}"] = "eth_clk"
 
     def net(self, cell, pin):
@@ -298,8 +302,7 @@ class Gates:
 
     def _trellis_io(self, _, cell):
         at = {key: value.strip() for key, value in cell["parameters"].items()}
-        pad = f"n{cell['connections']['B'][0]}"
-        outside = next(f"{port}[{bits.index(pad)}]" if len(bits) > 1 else port for port, bits in self.ports.items() if pad in bits)
+        outside = self.ports[f"n{cell['connections']['B'][0]}"]
         if at["DIR"] != "INPUT":
             mux = at.get("DATAMUX_ODDR", "PADDO")
             self.pads[outside] = f"n{cell['connections']['IOLDO'][0]}" if mux == "IOLDO" else self.net(cell, "I")

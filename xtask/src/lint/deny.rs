@@ -1,5 +1,5 @@
-//! Runs cargo-deny with `deny.toml`: licences, sources and bans, and advisories if their database has
-//! been fetched. It never uses the network, but for its own installation.
+//! Runs cargo-deny with `deny.toml`: licences, sources and bans, and advisories if their database
+//! has been fetched. It never uses the network, but for its own installation.
 
 use crate::{setup, step};
 use anyhow::Result;
