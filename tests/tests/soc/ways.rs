@@ -54,7 +54,7 @@ fn the_six_axis_exchange_turns_around_within_20_clocks_after_the_second() {
     let longest = spread(&machine, 200).max;
     assert!(longest <= FAST, "the longest of 200 took {longest} clocks");
     let whole = machine.total_spread(200).max;
-    let micros = whole as f64 * 1e6 / f64::from(machine.clock_hz());
+    let micros = whole as f64 * 1e6 / machine.clock_hz();
     assert!(micros < WHOLE, "{micros} us, the wire included");
     let after = ways(&mut machine);
     assert!(after.long - before.long <= 2, "{before:?} {after:?}");
