@@ -2,8 +2,8 @@
 //! library, the cores' bit-exact models, and between them a cable with injected faults. Every test
 //! makes the fault happen and watches the pins.
 //!
-//! All of them take seconds, on any machine with Rust. The rows that must hold with the CPU removed
-//! are on the Verilated board in `faults_rtl.rs`; `linuxcnc.rs` and `twin.rs` have the tests with
+//! All of them take seconds, on any machine with Rust. The rows that must work without the CPU are
+//! on the Verilated board in `faults_rtl.rs`; `linuxcnc.rs` and `twin.rs` have the tests with
 //! LinuxCNC.
 
 use ferrocnc_tests::bench::Bench;

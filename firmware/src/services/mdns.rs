@@ -144,7 +144,7 @@ pub struct Identity {
     pub port: u16,
 }
 
-const EVERYONE: Party = Party {
+const ALL_HOSTS: Party = Party {
     ip: GROUP,
     port: PORT,
 };
@@ -522,7 +522,7 @@ impl Responder {
         self.group = self.group.with(group);
     }
 
-    /// Without what everyone heard within the last second.
+    /// Without what all hosts heard within the last second.
     fn fresh(&self, items: Items, now: u32) -> Items {
         let said = ITEMS
             .into_iter()
@@ -593,7 +593,7 @@ impl Responder {
         }
         if self.group != Items::NONE && over(self.group_at, now) {
             let items = core::mem::take(&mut self.group);
-            return Some((EVERYONE, self.say(items, now, room)));
+            return Some((ALL_HOSTS, self.say(items, now, room)));
         }
         if self.phase == Phase::Ready || !over(self.due, now) {
             return None;
@@ -619,7 +619,7 @@ impl Responder {
                 return None;
             }
         };
-        Some((EVERYONE, length))
+        Some((ALL_HOSTS, length))
     }
 
     /// Asks whether the names are taken, and says what we would say.
@@ -634,7 +634,7 @@ impl Responder {
         writer.finish()
     }
 
-    /// Says these records to everyone.
+    /// Says these records to all hosts.
     fn say(&mut self, items: Items, now: u32, room: &mut [u8]) -> usize {
         for (item, sent) in ITEMS.into_iter().zip(&mut self.sent) {
             if items.has(item) {

@@ -56,8 +56,8 @@ impl Client {
         self.server != 0 && due
     }
 
-    /// Writes the question if it is due; says whom to ask. `random` makes its stamp one that no
-    /// other device can guess.
+    /// Writes the question if it is due; returns the server's address. `random` makes its stamp one
+    /// that no other device can guess.
     pub fn poll(&mut self, now: u32, random: u32, packet: &mut [u8; PACKET]) -> Option<u32> {
         if !self.busy(now) {
             return None;

@@ -47,7 +47,7 @@ impl Sender {
         self.server != 0 && self.next < journal.next()
     }
 
-    /// Writes the next message; says whom to send it to, and its length.
+    /// Writes the next message; returns the server's address and its length.
     pub fn poll(
         &mut self,
         journal: &Journal,

@@ -96,7 +96,7 @@ fn it_asks_three_times_and_says_it_twice() {
     assert!(sent.windows(2).all(|two| two[1].0 - two[0].0 >= PROBE_MS));
     for (_, to, bytes) in &probes {
         let packet = read(bytes);
-        assert_eq!(*to, EVERYONE);
+        assert_eq!(*to, ALL_HOSTS);
         assert!(packet.questions.iter().all(|it| it.unicast_response));
         assert_eq!(packet.questions[0].qname.to_string(), "mill.local");
         assert_eq!(packet.name_servers.len(), 3);
@@ -118,7 +118,7 @@ fn its_address_is_told_to_the_group_at_once_and_once_a_second() {
     let sent = run(&mut board, &mut clock, 6020);
     assert_eq!(sent.len(), 1);
     let (at, to, bytes) = &sent[0];
-    assert_eq!((*at, *to), (6010, EVERYONE));
+    assert_eq!((*at, *to), (6010, ALL_HOSTS));
     let packet = read(bytes);
     assert!(packet.questions.is_empty() && packet.id() == 0);
     assert_eq!(address(&packet), Some(0xc0a8_0232));
