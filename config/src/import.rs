@@ -78,7 +78,7 @@ impl<'p> Draft<'p> {
             }),
             mac: None,
             ipv4: [0; 4],
-            udp_port: 1234,
+            udp_port: wire::DEFAULT_PORT,
             modified: Modified::default(),
             channels: Default::default(),
         };

@@ -106,7 +106,7 @@ pub fn layout(name: &str, platform: Platform, wanted: &Wanted) -> Result<Board, 
         sdram: platform.sdram.is_some(),
         mac: None,
         ipv4: [192, 168, 2, 50],
-        udp_port: 1234,
+        udp_port: wire::DEFAULT_PORT,
         modified: Modified {
             bus_switch: wanted.modified.clone(),
             inputs: Vec::new(),

@@ -2,13 +2,13 @@
 
 use wire::describe::Channels;
 use wire::etherbone;
-use wire::exchange::{command_words, status_words};
+use wire::exchange::{StateWord, command_words, status_words};
 
 /// Words of an answer before its status block.
 pub const REPLY_OVERHEAD: usize = 4;
 
 /// Bits of a state word that are set only in the answer to an accepted command.
-pub const STATE_ANSWER: u32 = 1 << 18 | 1 << 21;
+pub const STATE_ANSWER: u32 = StateWord::SESSION_YOURS | StateWord::ACCEPTED;
 
 /// The lengths of this board's blocks, computed once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -393,7 +393,7 @@ impl Server {
     #[inline]
     pub fn state_word(&self, gate: Gate) -> u32 {
         let gate = if gate.0 == Gate::LIVE.0 {
-            STATE_ENABLED
+            StateWord::ENABLED
         } else {
             u32::from(gate.open()) << 17
                 | u32::from(gate.bitten()) << 19
@@ -784,7 +784,6 @@ pub(crate) fn last_close(board: &mut impl Board) -> GateClose {
     GateClose::from_code(board.last_close() as u8).unwrap_or(GateClose::SystemReset)
 }
 
-const STATE_ENABLED: u32 = 1 << 17;
 const LOG_SIZE: u32 = map::LOG + 4;
 const LOG_BOOT: u32 = map::LOG + 8;
 

@@ -39,7 +39,7 @@ pub struct Disarmed {
 }
 
 /// Most inputs a board can have.
-pub const INPUTS: usize = 32;
+pub const INPUTS: usize = wire::regmap::IN_MAX;
 
 impl Default for Disarmed {
     fn default() -> Self {

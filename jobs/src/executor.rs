@@ -92,8 +92,6 @@ const ARMING: u8 = 20;
 /// 250 ms to disarm: the board ends a stop with its grace.
 const DISARMING: u32 = 400;
 
-const _: () = assert!(AXES == wire::jobs::AXES);
-
 /// The executor.
 #[derive(Debug)]
 pub struct Executor {

@@ -21,8 +21,7 @@
 use crate::ramp::{Ramp, VELOCITY_FRACTION};
 use wire::units::{Accel, Position, Velocity};
 
-/// Axes of a job: X, Y, Z.
-pub const AXES: usize = 3;
+pub use wire::jobs::AXES;
 
 /// Words of a segment at the core's window.
 pub const WORDS: usize = 2 + 2 * AXES;

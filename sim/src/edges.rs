@@ -25,7 +25,7 @@ use wire::map::StepType;
 use crate::error::Error;
 
 /// STEP/DIR pairs of the SoC's ports; a board may use fewer.
-pub const CHANNELS: usize = 16;
+pub const CHANNELS: usize = wire::regmap::STEPGEN_MAX;
 
 /// First bytes of an edge file ([`Recorder`]).
 pub const FILE_MAGIC: [u8; 8] = *b"FCEDGES1";

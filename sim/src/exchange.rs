@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use crate::gmii::Sent;
 use crate::segment::Endpoint;
+use wire::exchange::StateWord;
 
 /// Bytes of an Etherbone packet header.
 const PACKET_HEADER: usize = 8;
@@ -92,7 +93,7 @@ impl StatusHead {
 
     /// The gate was open.
     pub fn enabled(&self) -> bool {
-        self.state >> 17 & 1 != 0
+        self.state & StateWord::ENABLED != 0
     }
 }
 

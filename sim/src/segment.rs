@@ -26,12 +26,12 @@ pub const HOST_MAC: [u8; 6] = [0x02, 0xfc, 0, 0, 0x02, 0x01];
 /// Where a board answers until told otherwise.
 pub const BOARD_IP: Ipv4Addr = Ipv4Addr::new(192, 168, 2, 50);
 /// The board's Etherbone port until told otherwise.
-pub const BOARD_PORT: u16 = 1234;
+pub const BOARD_PORT: u16 = wire::DEFAULT_PORT;
 /// The board's debug console.
-pub const CONSOLE_PORT: u16 = 23;
+pub const CONSOLE_PORT: u16 = wire::CONSOLE_PORT;
 
 /// Largest UDP payload in one frame: 1500 bytes of MTU, less the IPv4 and UDP headers.
-pub const MAX_UDP: usize = 1500 - 20 - 8;
+pub const MAX_UDP: usize = wire::MAX_PAYLOAD;
 
 /// An address and a port.
 pub type Endpoint = (Ipv4Addr, u16);

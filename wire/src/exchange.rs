@@ -349,6 +349,12 @@ impl StateWord {
     pub const SERVICES_SHIFT: u32 = 12;
     /// Lowest bit of the count of errors.
     pub const ERRORS_SHIFT: u32 = 24;
+    /// The bit of `enabled`.
+    pub const ENABLED: u32 = 1 << 17;
+    /// The bit of `session_yours`.
+    pub const SESSION_YOURS: u32 = 1 << 18;
+    /// The bit of `accepted`.
+    pub const ACCEPTED: u32 = 1 << 21;
 
     /// As a word.
     pub const fn to_word(self) -> u32 {
@@ -358,11 +364,11 @@ impl StateWord {
             | (self.reason as u32) << 8
             | (self.services as u32) << Self::SERVICES_SHIFT
             | (self.position_trusted as u32) << 16
-            | (self.enabled as u32) << 17
-            | (self.session_yours as u32) << 18
+            | self.enabled as u32 * Self::ENABLED
+            | self.session_yours as u32 * Self::SESSION_YOURS
             | (self.bitten as u32) << 19
             | (self.external_reset as u32) << 20
-            | (self.accepted as u32) << 21
+            | self.accepted as u32 * Self::ACCEPTED
             | (self.link as u32) << 22
             | (self.estop as u32) << 23
     }
@@ -382,11 +388,11 @@ impl StateWord {
             state,
             reason,
             position_trusted: word >> 16 & 1 != 0,
-            enabled: word >> 17 & 1 != 0,
-            session_yours: word >> 18 & 1 != 0,
+            enabled: word & Self::ENABLED != 0,
+            session_yours: word & Self::SESSION_YOURS != 0,
             bitten: word >> 19 & 1 != 0,
             external_reset: word >> 20 & 1 != 0,
-            accepted: word >> 21 & 1 != 0,
+            accepted: word & Self::ACCEPTED != 0,
             link: word >> 22 & 1 != 0,
             estop: word >> 23 & 1 != 0,
             speed,

@@ -1,7 +1,7 @@
 //! `gpio.sv`: inputs with their debouncer, e-stop inputs, and outputs with the gate.
 
 /// Pins the debouncer visits in turn.
-const PINS: usize = 32;
+const PINS: usize = wire::regmap::IN_MAX;
 
 /// Inputs and outputs.
 #[derive(Clone, Debug, PartialEq, Eq)]
