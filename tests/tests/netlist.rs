@@ -226,12 +226,12 @@ fn a_memory_with_a_wrong_bit_is_found() {
     // The ROM, the stack, the processor's registers, a cache's tags, a receive slot and a transmit
     // slot.
     for wanted in [
-        "rom.0.0",
-        "sram.0.0",
+        "rom_0.0.0",
+        "sram_0.0.0",
         "RegFilePlugin_regFile.0.0",
         "dataCache_1.ways_0_tags.0.0",
         "mem_1.0.0",
-        "mem_3.0.0",
+        "mem_5.0.0",
     ] {
         let at = names.iter().position(|name| name.ends_with(wanted));
         let at = at.unwrap_or_else(|| panic!("there is no memory {wanted}: {names:?}")) as u16;
