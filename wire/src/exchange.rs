@@ -364,11 +364,11 @@ impl StateWord {
             | (self.reason as u32) << 8
             | (self.services as u32) << Self::SERVICES_SHIFT
             | (self.position_trusted as u32) << 16
-            | self.enabled as u32 * Self::ENABLED
-            | self.session_yours as u32 * Self::SESSION_YOURS
+            | (self.enabled as u32 * Self::ENABLED)
+            | (self.session_yours as u32 * Self::SESSION_YOURS)
             | (self.bitten as u32) << 19
             | (self.external_reset as u32) << 20
-            | self.accepted as u32 * Self::ACCEPTED
+            | (self.accepted as u32 * Self::ACCEPTED)
             | (self.link as u32) << 22
             | (self.estop as u32) << 23
     }
