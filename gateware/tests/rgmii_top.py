@@ -13,11 +13,11 @@ from pathlib import Path
 from migen import ClockDomain, Record, Signal
 from litex.build.lattice.common import lattice_ecp5_special_overrides
 from litex.gen import LiteXModule
-from litex.gen.fhdl import verilog
 from liteeth.mac.core import LiteEthMACCore
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+import top  # noqa: E402
 from ferrocnc import rgmii, sim  # noqa: E402
 
 
@@ -41,15 +41,5 @@ class Top(LiteXModule):
         }
 
 
-def main():
-    logging.disable(logging.WARNING)
-    top = Top()
-    for name, signal in top.ports.items():
-        signal.name_override = name
-    out = Path(sys.argv[1])
-    out.mkdir(parents=True, exist_ok=True)
-    text = verilog.convert(top, set(top.ports.values()), name="rgmii", special_overrides=lattice_ecp5_special_overrides)
-    (out / "rgmii.v").write_text(sim._self_contained(text))
-
-
-main()
+logging.disable(logging.WARNING)
+top.write(Top(), "rgmii", sys.argv[1], special_overrides=lattice_ecp5_special_overrides)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from migen import ClockDomain, Instance, Signal
 from litex.gen import LiteXModule
-from litex.gen.fhdl import verilog
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+import top  # noqa: E402
 from ferrocnc.sdram_bridge import Port, SdramBridge  # noqa: E402
 
 BANK, ROW, COLUMN = 1, 11, 8  # bits: the smaller of the cards' SDRAMs
@@ -36,15 +36,4 @@ class Top(LiteXModule):
         }
 
 
-def main():
-    top = Top()
-    for name, signal in top.ports.items():
-        signal.name_override = name
-    out = Path(sys.argv[1])
-    out.mkdir(parents=True, exist_ok=True)
-    text = str(verilog.convert(top, set(top.ports.values()), name="sdram_bridge"))
-    # the core has none
-    (out / "sdram_bridge.v").write_text(text.replace("`timescale 1ns / 1ps\n", ""))
-
-
-main()
+top.write(Top(), "sdram_bridge", sys.argv[1])

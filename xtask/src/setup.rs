@@ -76,19 +76,15 @@ pub fn run(need: Need) -> Result<()> {
         }
         Need::Gateware => {}
         Need::Fuzz => {
-            let compiler: Vec<_> = PACKAGES.iter().filter(|p| p.0 == "g++").copied().collect();
-            return debian_packages(&compiler);
+            return some_packages(|name| name == "g++");
         }
         Need::LinuxCnc => {
-            let needed =
-                |name: &str| name.starts_with("linuxcnc") || ["procps", "strace"].contains(&name);
-            let linuxcnc: Vec<_> = PACKAGES.iter().filter(|p| needed(p.0)).copied().collect();
-            return debian_packages(&linuxcnc);
+            return some_packages(|name| {
+                name.starts_with("linuxcnc") || ["procps", "strace"].contains(&name)
+            });
         }
         Need::Lint => {
-            let python = |package: &&(&str, &str)| package.0 == "python3-venv";
-            let python: Vec<_> = PACKAGES.iter().filter(python).copied().collect();
-            debian_packages(&python)?;
+            some_packages(|name| name == "python3-venv")?;
             return python_environment(&LINTERS);
         }
     }
@@ -96,6 +92,12 @@ pub fn run(need: Need) -> Result<()> {
     python_environment(&TOOLS)?;
     verilator_and_friends();
     Ok(())
+}
+
+/// [`debian_packages`] with those of [`PACKAGES`] that are needed.
+fn some_packages(needed: impl Fn(&str) -> bool) -> Result<()> {
+    let some: Vec<_> = PACKAGES.iter().filter(|p| needed(p.0)).copied().collect();
+    debian_packages(&some)
 }
 
 /// Installs the packages that are missing, or prints the command when not root.
