@@ -611,8 +611,8 @@ A core is measured alone; `wide_counter`, `edges` and `gpio` are there once for 
 16, 32 + 32), each encoder has two `debounce` inside, each encoder and each step generator a `latch`
 beside it. `segments` (3 axes) is on boards with jobs only. `max` has no pins on a 5A-75B: its
 inputs come from a shift register behind one pad and its outputs leave as a parity through another,
-so that nothing is optimised away (about 40 LUTs). It is packed here, and does not
-route ([timing](timing.md)).
+so that nothing is optimised away (about 40 LUTs). It is packed here, and does not route
+([timing](timing.md)).
 
 The peers' figures are of the same tools and the same channels: 6 step generators, 6 encoders, 6
 PWM, 12 + 12 I/O, 40 MHz, Etherbone in gateware and no CPU. LiteX-CNC was placed and routed once;
