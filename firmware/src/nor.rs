@@ -7,7 +7,8 @@ use wire::flash::OpResult;
 /// Commands of every 25-series chip.
 pub(crate) const WRITE_STATUS: u8 = 0x01;
 pub(crate) const PROGRAM: u8 = 0x02;
-const READ: u8 = 0x03;
+/// Reads from a 24-bit address on, without an end.
+pub const READ: u8 = 0x03;
 const STATUS: u8 = 0x05;
 const WRITE_ENABLE: u8 = 0x06;
 pub(crate) const ERASE_SECTOR: u8 = 0x20;

@@ -4,6 +4,7 @@
 use core::convert::Infallible;
 use embedded_hal::spi::{self, Operation, SpiDevice};
 use firmware::cores::Led;
+use firmware::nor::READ;
 
 /// The status LED, which shows patterns.
 pub struct StatusLed<'r>(&'r litex_pac::Led);
@@ -41,6 +42,25 @@ impl FlashSpi {
         self.0.status().read().factory_pin().bit()
     }
 
+    /// Reads words from this address of the flash, as they lie there. `each` takes a word while the
+    /// next one comes, which costs no time if it needs less than a transfer: 128 clocks.
+    #[inline(never)]
+    pub fn stream(&mut self, address: u32, words: &mut [u32], mut each: impl FnMut(u32)) {
+        let [first @ .., last] = words else { return };
+        self.select(true);
+        self.shift(32, u32::from(READ) << 24 | address & 0xff_ffff);
+        self.begin(0);
+        for word in first {
+            let came = self.end().to_be();
+            self.begin(0);
+            *word = came;
+            each(came);
+        }
+        *last = self.end().to_be();
+        self.select(false);
+        each(*last);
+    }
+
     fn select(&mut self, on: bool) {
         self.0.control().write(|w| w.select().bit(on));
     }
@@ -48,9 +68,22 @@ impl FlashSpi {
     /// Shifts out the upper bits of a word; the received bits are in the lower end of the result.
     #[inline(never)]
     fn shift(&mut self, bits: u32, word: u32) -> u32 {
-        // SAFETY: 8 or 32, and any word.
+        // SAFETY: 8 or 32.
         self.0.length().write(|w| unsafe { w.bits(bits) });
+        self.begin(word);
+        self.end()
+    }
+
+    /// Begins to shift out the upper bits of a word, as many as the last time.
+    #[inline]
+    fn begin(&mut self, word: u32) {
+        // SAFETY: any word.
         self.0.data().write(|w| unsafe { w.bits(word) });
+    }
+
+    /// Waits for the end of a transfer; the received bits.
+    #[inline]
+    fn end(&mut self) -> u32 {
         while self.0.status().read().busy().bit() {}
         self.0.data().read().bits()
     }

@@ -60,10 +60,11 @@ impl Loader {
         }
         let count = PIECE.min(self.length - self.done);
         let words = room.0.get_mut(self.done / 4..).unwrap_or(&mut []);
-        let mut nor = Nor(machine.board.spi());
+        let words = words.get_mut(..count / 4).unwrap_or(&mut []);
         let at = self.from.wrapping_add(self.done as u32);
-        let _ = nor.read(at, bytes(words, count));
-        self.check.add(words.get(..count / 4).unwrap_or(&[]));
+        let check = &mut self.check;
+        let spi = machine.board.spi();
+        spi.stream(at, words, |word| check.add(&[word]));
         self.done += count;
         self.patrol.loaded(&room.0, self.done / 4, &self.check);
         if self.done < self.length {
