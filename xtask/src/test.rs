@@ -59,7 +59,7 @@ enum Level {
     Twin,
     /// Real LinuxCNC, our driver, the simulated board.
     Linuxcnc,
-    /// Everything that comes from outside, 15 s of random inputs for each parser.
+    /// Everything that comes from outside, 8 s of random inputs for each parser.
     Fuzz,
     /// The smallest configuration as bitstream: every clock met, the release firmware inside, files
     /// the host and an ECP5 take; its routed netlist, simulated, is the RTL clock by clock.
@@ -70,7 +70,7 @@ enum Level {
 /// in each run: whether a change passes is no matter of luck. The search is a command of its own:
 /// `cargo xtask fuzz --seconds 3600`.
 const FUZZ: fuzz::Search = fuzz::Search {
-    seconds: 15,
+    seconds: 8,
     seed: Some(1),
 };
 
