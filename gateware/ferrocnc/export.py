@@ -302,9 +302,11 @@ def registers_md(banks, abi):
         f"<!-- {HEADER} -->",
         "# Registers",
         "",
-        "Every board has this map. A channel a board does not have reads 0 and ignores writes. All registers are 32 bits wide;",
-        "ro is read only, rw read and write, wo write only (reads 0). A *clock* is one period of the core clock; its frequency",
-        "f_clk is in `ident.sys_clk_hz`.",
+        *_prose(
+            "Every board has this map. A channel a board does not have reads 0 and ignores writes. All registers are 32 bits "
+            "wide; ro is read only, rw read and write, wo write only (reads 0). Below a register are its fields with their "
+            "bits, and below a field its values. A *clock* is one period of the core clock; its frequency f_clk is in "
+            "`ident.sys_clk_hz`."),
         "",
         f"ABI number of this map: `0x{abi:08x}`.",
         "",
@@ -312,12 +314,14 @@ def registers_md(banks, abi):
         "|---|---|---|---|",
     ]
     for name, (origin, size), what in (
-        ("rom", rm.ROM, f"the image; its last {rm.ROM_TRAILER} bytes are the trailer: \"FTRL\", build id, role (1 image, 2 golden), 0"), ("ram", rm.RAM, f"the services' window ({rm.WINDOW[1]} bytes), data, bss, stack"),
+        ("rom", rm.ROM, f"the image; its last {rm.ROM_TRAILER} bytes are the trailer"),
+        ("ram", rm.RAM, f"the services' window ({rm.WINDOW[1]} bytes), data, bss, stack"),
         ("ethmac", rm.ETHMAC, f"{rm.ETHMAC_RX_SLOTS} receive and {rm.ETHMAC_TX_SLOTS} transmit slots of {rm.ETHMAC_SLOT} bytes"),
         ("board rom", rm.BOARD_ROM, "board info blob; big-endian words, laid out in `wire::board`"),
-        ("sdram", rm.SDRAM_RAM, "on boards with SDRAM: the services, their data, the jobs; a smaller SDRAM is seen twice"),
+        ("sdram", rm.SDRAM_RAM, "on boards with SDRAM: the services, their data, the jobs"),
     ):
         out.append(f"| {name} | `0x{origin:08x}` | {size} | {what} |")
+    out += ["", *_prose("The trailer of the ROM is four words: \"FTRL\", build id, role (1 image, 2 golden), 0. A smaller SDRAM is seen twice.")]
     done = set()
     for bank in banks:
         if bank.kind in done:
@@ -326,19 +330,29 @@ def registers_md(banks, abi):
         group = [b for b in banks if b.kind == bank.kind]
         title = bank.name if len(group) == 1 else f"{group[0].name} .. {group[-1].name}"
         where = f"`0x{bank.base:08x}`" + (f", each following channel 0x{rm.CSR_PAGE:x} further" if len(group) > 1 else "")
-        out += ["", f"## {title}", "", f"{bank.doc} Page {bank.page}, {where}.", ""]
-        if not bank.regs:
-            continue
-        out += ["| offset | register | access | meaning |", "|---|---|---|---|"]
+        out += ["", f"## {title}", "", *_prose(f"{bank.doc} Page {bank.page}, {where}.")]
+        if bank.regs:
+            out.append("")
         for i, reg in enumerate(bank.regs):
-            out.append(f"| `0x{4 * i:03x}` | `{reg.name}` | {reg.access} | {_md(reg.doc)} |")
+            out += _item(0, f"`0x{4 * i:03x}` `{reg.name}` ({reg.access})", reg.doc)
             for f in reg.fields:
                 bits = f"{f.lsb}" if f.width == 1 else f"{f.lsb + f.width - 1}:{f.lsb}"
-                out.append(f"| | {bits} `{f.name}` | | {_md(f.doc)} |")
+                # LiteX's own fields have no sentence.
+                out += _item(1, f"{bits} `{f.name}`", "" if f.doc == f"Part of {reg.name}." else f.doc)
                 for name, number, doc in f.values:
-                    out.append(f"| | {number if number < 256 else hex(number)} *{name}* | | {_md(doc)} |")
+                    out += _item(2, f"{number if number < 256 else hex(number)} *{name}*", doc)
     return "\n".join(out) + "\n"
 
 
-def _md(text):
-    return text.replace("|", "\\|")
+def _prose(text, indent=""):
+    """Text in lines of at most 100 columns; one that is broken does not begin with a sign of a list."""
+    lines = textwrap.wrap(text, 100, initial_indent=indent, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    assert not any(re.match(r"\s*([-+*]|\d+[.)]) ", line) for line in lines[1:]), text
+    return lines
+
+
+def _item(depth, head, doc):
+    """An item of a list within lists: its name and its sentence."""
+    indent = "  " * depth
+    lines = _prose(f"{head}: {doc}" if doc else head, indent + "  ")
+    return [f"{indent}* {lines[0].strip()}", *lines[1:]]

@@ -35,6 +35,7 @@ pub mod environment;
 pub mod error;
 pub mod exchange;
 pub mod faults;
+pub mod figures;
 pub mod firmware;
 pub mod gmii;
 pub mod jobs;

@@ -21,6 +21,7 @@ mod simulator;
 pub mod stops;
 pub mod wired;
 
+pub use sim::figures::report_part;
 pub use sim::stimulus::{from_environment, seed};
 pub use simulator::{Simulator, control};
 
@@ -120,20 +121,6 @@ pub fn report(name: &str, figures: &serde_json::Value) {
         let text = serde_json::to_string_pretty(figures).expect("figures are JSON");
         std::fs::write(&path, text).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     }
-}
-
-/// Puts a part into `target/reports/NAME.json`, beside what other tests put there.
-pub fn report_part(name: &str, part: &str, figures: serde_json::Value) {
-    static WRITING: std::sync::Mutex<()> = std::sync::Mutex::new(());
-    let _writing = WRITING.lock();
-    let folder = root().join("target/reports");
-    std::fs::create_dir_all(&folder).expect("a folder for reports");
-    let path = folder.join(format!("{name}.json"));
-    let before = std::fs::read_to_string(&path).unwrap_or_default();
-    let mut all: serde_json::Value =
-        serde_json::from_str(&before).unwrap_or_else(|_| serde_json::json!({}));
-    all[part] = figures;
-    std::fs::write(&path, format!("{all:#}\n")).expect("the report");
 }
 
 /// Bytes from hexadecimal digits; spaces are for the reader.

@@ -12,13 +12,12 @@ use host::job::program::{Dialect, Program};
 use motion::segment::AXES;
 use rand::Rng;
 use rand_pcg::Pcg32;
-use std::collections::BTreeMap;
-use std::fmt::Debug;
+pub use sim::figures::Used;
 use std::ops::Range;
 
 /// Steps: the fraction at each end, and a step's error in a speed that is read from the time
 /// between two of them.
-const STEPS: f64 = 4.0;
+pub const STEPS: f64 = 4.0;
 
 /// What a machine may be like.
 #[derive(Clone, Debug)]
@@ -182,24 +181,4 @@ fn steps(events: &[Event]) -> Vec<Edge> {
         step.0 -= first;
     }
     all
-}
-
-/// What the worst of each kind has used of the way it is allowed.
-#[derive(Debug, Default)]
-pub struct Used(BTreeMap<String, (u64, f64)>);
-
-impl Used {
-    /// One of this kind.
-    pub fn see(&mut self, kind: impl Debug, used: f64) {
-        let (count, worst) = self.0.entry(format!("{kind:?}")).or_default();
-        *count += 1;
-        *worst = worst.max(used);
-    }
-
-    /// `cargo test -- --nocapture` shows it.
-    pub fn print(&self, title: &str) {
-        for (kind, (count, worst)) in &self.0 {
-            println!("{title}, {kind}: {count}, at most {worst:.3} of the way allowed");
-        }
-    }
 }

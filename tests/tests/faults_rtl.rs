@@ -1,7 +1,7 @@
 //! The rows of the fault table that must hold without the CPU, on the Verilated board with the
 //! CPU's clock stopped; and the part of the release image in the other rows.
 
-use ferrocnc_tests::BenchMachine;
+use ferrocnc_tests::{BenchMachine, report};
 use wire::exchange::Command;
 use wire::state::State;
 use wire::units::{Accel, Velocity};
@@ -109,6 +109,10 @@ fn external_reset_pin_high() {
         is_safe(&mut machine);
     }
     println!("reset pin to safe outputs on the RTL: at most {most} clocks");
+    report(
+        "reset_rtl",
+        &serde_json::json!({ "clocks": { "max": most } }),
+    );
 }
 
 #[test]

@@ -2,7 +2,8 @@
 //! out of stack.
 
 use ferrocnc_tests::image::{CALLED_BACK, Code, Deepest};
-use ferrocnc_tests::{BenchMachine, parts, wired};
+use ferrocnc_tests::{BenchMachine, parts, report_part, wired};
+use serde_json::json;
 use std::path::PathBuf;
 
 /// Every place that may panic: a part of its function's name, how many there are in it, and why
@@ -159,7 +160,13 @@ fn the_stack_holds_the_longest_way_through_the_image_and_a_trap_at_its_end() {
     let code = Code::read(&parts().1);
     let run = longest(&code, "_abs_start");
     let trap = longest(&code, "services_trap");
-    fits(&code, run.bytes + trap.bytes);
+    let most = run.bytes + trap.bytes;
+    report_part(
+        "image",
+        "stack",
+        json!({ "longest": most, "bytes": code.stack }),
+    );
+    fits(&code, most);
 }
 
 #[test]

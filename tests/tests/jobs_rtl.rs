@@ -7,7 +7,7 @@
 
 use ferrocnc_tests::drawing::{self, TOLERANCE};
 use ferrocnc_tests::pins::{self, Event, Pin, Prediction};
-use ferrocnc_tests::stops::{Job, Shape, Used, Way};
+use ferrocnc_tests::stops::{Job, STEPS, Shape, Used, Way};
 use ferrocnc_tests::wired::Wired;
 use host::job::client::JobError;
 use host::job::machine::{Direction, Home, Level, MachineFile};
@@ -207,17 +207,18 @@ fn a_dense_arc_is_planned_at_a_thousand_segments_a_second_and_every_edge_is_in_i
         wired.machine.clock() - begun,
         report.segments
     );
+    let difference = told.compare(&wired.events());
+    println!("{difference:?}");
     ferrocnc_tests::report(
         "jobs-dense",
         &serde_json::json!({
             "segments": report.segments, "asked_per_second": asked(&told, machine.clock).round(),
             "planned_per_second": planning.rate().round(), "clocks_per_segment": clocks / u64::from(segments.max(1)),
+            "edges": difference.edges, "edge_differences": difference.wrong,
         }),
     );
     assert_eq!(report.end, End::Done, "{report:?}");
     assert!(planning.rate() >= 1000.0, "{} segments/s", planning.rate());
-    let difference = told.compare(&wired.events());
-    println!("{difference:?}");
     assert_eq!(
         (difference.wrong, report.steps.map(i64::from)),
         (0, told.steps)
@@ -697,5 +698,6 @@ fn any_job_stops_each_axis_within_its_own_way_whatever_strikes() {
         }
         used.see(strikes, part);
     }
-    used.print("jobs on the RTL");
+    let allowed = serde_json::json!({ "steps_allowed": STEPS });
+    used.report("jobs on the RTL", allowed);
 }

@@ -9,13 +9,15 @@
 //! `cargo xtask netlist` builds both boards and says where they are: `FERROCNC_SOC`,
 //! `FERROCNC_GATES`.
 
+use std::collections::BTreeMap;
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 
-use ferrocnc_tests::{description, from_environment, parts, seed, to_bytes, to_words};
+use ferrocnc_tests::{description, from_environment, parts, report_part, seed, to_bytes, to_words};
 use rand::{Rng as _, RngCore, SeedableRng};
 use rand_pcg::Pcg32;
+use serde_json::json;
 use sim::board::Board;
 use sim::firmware::Image;
 use sim::gmii;
@@ -205,8 +207,9 @@ fn memories() -> Vec<String> {
 
 #[test]
 fn the_netlist_boots_the_release_image_and_answers_as_the_rtl_does_clock_for_clock() {
-    let first = seed();
-    for run in 0..from_environment("FERROCNC_NETLIST_SEEDS", 1) {
+    let (first, seeds) = (seed(), from_environment("FERROCNC_NETLIST_SEEDS", 1));
+    let mut runs = Vec::new();
+    for run in 0..seeds {
         let seed = first.wrapping_add(run);
         let mut random = Pcg32::seed_from_u64(seed);
         let mut bench = Bench::start(random.next_u32(), 0);
@@ -216,13 +219,39 @@ fn the_netlist_boots_the_release_image_and_answers_as_the_rtl_does_clock_for_clo
         println!(
             "seed {seed}: {clocks} clocks, {edges} edges alike, {answered} frames answered; ports of block RAM met: {met:?}"
         );
+        runs.push(json!({
+            "seed": seed, "clocks": clocks, "answered": answered, "met": by_group(&met),
+        }));
     }
+    let compared = json!({ "first_seed": first, "seeds": seeds, "runs": runs });
+    report_part("netlist", "compared", compared);
+}
+
+/// Groups of memories, as docs/netlist.md has them, and what the names of each have in common.
+const GROUPS: [(&str, &str); 5] = [
+    ("registers", "RegFilePlugin"),
+    ("caches", "Cache"),
+    ("slots", "mem_"),
+    ("mirror", "mirror"),
+    ("sram_1", "sram_1"),
+];
+
+/// Clocks in which ports met, in a list for each group; a memory of no group has its own name.
+fn by_group(met: &[(String, u32)]) -> BTreeMap<&str, Vec<u32>> {
+    let mut groups = BTreeMap::new();
+    for (name, clocks) in met {
+        let group = GROUPS.iter().find(|(_, part)| name.contains(part));
+        let group = group.map_or(name.as_str(), |(group, _)| group);
+        groups.entry(group).or_insert_with(Vec::new).push(*clocks);
+    }
+    groups
 }
 
 #[test]
 fn a_memory_with_a_wrong_bit_is_found() {
     let seed = seed();
     let names = memories();
+    let mut found = BTreeMap::new();
     // The ROM, the stack, the processor's registers, a cache's tags, a receive slot and a transmit
     // slot.
     for wanted in [
@@ -246,7 +275,13 @@ fn a_memory_with_a_wrong_bit_is_found() {
             text.contains("the netlist (left) is not the RTL"),
             "{wanted}: {text}"
         );
+        let behind = text.split_once("after clock ").map(|(_, behind)| behind);
+        let clock = behind.and_then(|behind| behind.split(',').next());
+        let clock: u64 = clock.and_then(|clock| clock.parse().ok()).expect("a clock");
+        found.insert(wanted, clock);
     }
+    println!("a wrong bit is found after these clocks: {found:?}");
+    report_part("netlist", "found_after_clocks", json!(found));
 }
 
 /// Exchanges, a bite, invalid frames, pings and a reset; the bench finds every difference on the

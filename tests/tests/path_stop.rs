@@ -315,6 +315,8 @@ const LOOKED_AT: [f64; 2] = [6e-3, 0.35];
 /// Clocks from a request to the stop at most: for an exchange or the watchdog, and for a datagram
 /// that the firmware reads while it has other work.
 const LATE: [u64; 2] = [1500, 18_000];
+/// Steps that an axis may be off its ramp, besides what it makes between two such candidates.
+const OFF: f64 = 3.0;
 /// Clocks between two candidates for the clock of the stop.
 const GRID: u64 = 100;
 
@@ -428,7 +430,7 @@ fn braking_since(
     for (n, (rate, accel)) in axes.iter().enumerate() {
         let rate = rate.abs();
         let share = (rate / takes).max(accel / 256.0);
-        let slack = 3.0 + rate * GRID as f64 / clock_hz;
+        let slack = OFF + rate * GRID as f64 / clock_hz;
         let mut made = 0.0;
         for step in steps.iter().filter(|step| usize::from(step.channel) == n) {
             let Some(since) = step.clock.checked_sub(stop) else {
@@ -494,18 +496,33 @@ fn any_machine_brakes_each_axis_in_its_own_way_whatever_strikes() {
     machine.acquire();
     machine.configure();
     let mut used = Used::default();
-    for seed in first..first + ferrocnc_tests::from_environment("FERROCNC_STOPS", MACHINES) {
-        let (cause, part) = any_session(&mut machine, seed, looked_at);
-        if let Some(part) = part {
-            used.see(cause, part);
+    let machines = ferrocnc_tests::from_environment("FERROCNC_STOPS", MACHINES);
+    let mut late_max = [0; 2];
+    for seed in first..first + machines {
+        let stop = any_session(&mut machine, seed, looked_at);
+        if let Some(part) = stop.used {
+            used.see(stop.cause, part);
         }
+        let by_datagram = usize::from(stop.cause.late() == LATE[1]);
+        late_max[by_datagram] = stop.late.max(late_max[by_datagram]);
     }
-    used.print("sessions on the RTL, to their end");
+    let more = serde_json::json!({
+        "machines": machines, "late_clocks_max": late_max, "steps_off_allowed": OFF,
+    });
+    used.report("sessions on the RTL", more);
 }
 
-/// Stops a random machine for a random cause and looks at it for `looked_at` seconds. Returns the
-/// cause and, if the stop was seen to its end, the largest share of the way to rest that was used.
-fn any_session(machine: &mut BenchMachine, seed: u64, looked_at: f64) -> (Cause, Option<f64>) {
+/// How a random machine stopped.
+struct Stop {
+    cause: Cause,
+    /// Clocks from the request to the stop.
+    late: u64,
+    /// The largest share of the way to rest that was used, if the stop was seen to its end.
+    used: Option<f64>,
+}
+
+/// Stops a random machine for a random cause and looks at it for `looked_at` seconds.
+fn any_session(machine: &mut BenchMachine, seed: u64, looked_at: f64) -> Stop {
     let clock_hz = BenchMachine::clock_hz(machine);
     let mut random = Pcg32::seed_from_u64(seed);
     let axes = any_machine(&mut random);
@@ -517,17 +534,17 @@ fn any_session(machine: &mut BenchMachine, seed: u64, looked_at: f64) -> (Cause,
     let takes = axes.iter().fold(0.0f64, |t, (v, a)| t.max(v.abs() / a));
     let whole = takes + 1e-3 < looked_at;
     machine.run_clocks(((SHORT + takes.min(looked_at) + 5e-4) * clock_hz) as u64);
-    let used = match cause {
+    let (late, used) = match cause {
         Cause::Reset => {
             let steps = machine.edge_watch().take_steps();
             let late = steps.iter().filter(|step| step.clock > stop + 4);
             assert_eq!(late.count(), 0, "{told}");
-            0.0
+            (0, 0.0)
         }
         _ => {
             let (late, used) = brakes_in_its_own_way(machine, &axes, (stop, cause.late()), &told);
             println!("seed {seed}, {cause:?}: braking {late} clocks after it was asked for");
-            used
+            (late, used)
         }
     };
     assert!(
@@ -545,5 +562,6 @@ fn any_session(machine: &mut BenchMachine, seed: u64, looked_at: f64) -> (Cause,
         assert_eq!(position.0 >> 32, machine.pulses(n), "{told}: axis {n}");
     }
     assert_eq!(machine.broken_rules(), [], "{told}");
-    (cause, whole.then_some(used))
+    let used = whole.then_some(used);
+    Stop { cause, late, used }
 }

@@ -5,8 +5,8 @@
 //! and fast enough for programs of seconds. HAL exists once per machine, so these tests run one
 //! after the other.
 
-use ferrocnc_tests::Simulator;
 use ferrocnc_tests::hal::{halrun, out, root};
+use ferrocnc_tests::{Simulator, report_part};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -124,6 +124,9 @@ fn linuxcnc_homes_to_the_index_probes_threads_and_closes_its_loops() {
     println!("thread: pitch {pitch:.4} mm, Z off by at most {worst:.4} mm from the spindle");
     assert!((pitch - 1.0).abs() < 0.01, "pitch {pitch}");
     assert!(worst < 0.02, "Z leaves the spindle by {worst:.4} mm");
+    let off = [(steps(0) - 4000).abs(), (steps(2) + 1600).abs()];
+    let figures = serde_json::json!({ "home_off_steps": off, "pitch_mm": pitch });
+    report_part("twin", "homed and threaded", figures);
     assert_eq!(report["timing_violations"], 0);
 }
 

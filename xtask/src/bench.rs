@@ -1,6 +1,7 @@
 //! Measurements. Each prints its figures and leaves them in `target/reports/NAME.json`.
 
 mod host;
+mod stops;
 
 use crate::{build, cargo_tests, faults, python, root, setup, step, target};
 use anyhow::{Context, Result};
@@ -27,6 +28,9 @@ pub enum What {
     /// A day of the board's time on the twin: counters that drift, or do not come round as they
     /// should (--hours).
     Soak,
+    /// Random machines, stopped by random causes at random moments, on the models, through the
+    /// host's streaming program and on the RTL: how much of the way allowed the worst has used.
+    Stops,
     /// What a servo period costs this PC: the real driver in LinuxCNC's realtime on the twin, in
     /// turn with a plain C component with the same system calls, bytes and pins (--rounds); 4 and
     /// 10 kHz.
@@ -67,6 +71,7 @@ pub fn run(options: &Options) -> Result<()> {
             "FERROCNC_EXCHANGES",
             options.exchanges,
         ),
+        What::Stops => stops::run(),
         What::Host => host::run(options.rounds),
         What::Soak => faults::measure(
             "soak",

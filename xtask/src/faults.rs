@@ -41,6 +41,7 @@ pub fn run() -> Result<usize> {
         "bite_clocks": bite["bite_clocks"],
         "bite": bite,
         "reset": read("reset"),
+        "reset_rtl": read("reset_rtl"),
         "loss": read("loss"),
         "soak": read("soak"),
     });

@@ -2,8 +2,9 @@
 //! and the command that prints it. `docs/figures.md` and the marked places of other pages are
 //! written from that file.
 //!
-//! `--take` brings the values of `target/reports/*.json` into the file. A figure says which report
-//! has it and where. A figure whose report is not there keeps its value, and the command names it.
+//! `--take` brings the values of `target/reports/*.json` into the file. Every figure says which
+//! report has it and where, so none is written by hand. A figure whose report is not there keeps its
+//! value, and the command names it; so does `--check` with a figure whose report has other values.
 //!
 //! A page shows figures in two ways; what stands between the marks is written by this command:
 //!
@@ -34,7 +35,8 @@ pub struct Options {
     /// First take the values of the reports in target/reports into docs/figures.json.
     #[arg(long)]
     take: bool,
-    /// Change nothing; fail if a page differs from docs/figures.json.
+    /// Change nothing; fail if a page differs from docs/figures.json, and name the figures for which
+    /// target/reports has other values.
     #[arg(long, conflicts_with = "take")]
     check: bool,
 }
@@ -56,7 +58,8 @@ struct Section {
     figures: Vec<Figure>,
 }
 
-/// One figure: what was measured, what came out, which command prints it.
+/// One figure: what was measured, what came out, which command prints it, and the report that has
+/// it. No figure is written by hand.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Figure {
@@ -67,8 +70,7 @@ struct Figure {
     unit: String,
     command: String,
     values: Vec<Value>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    from: Option<Source>,
+    from: Source,
 }
 
 /// Where a report has the values of a figure.
@@ -106,6 +108,11 @@ pub fn run(options: &Options) -> Result<()> {
         take()?;
     }
     let stale = write(options.check)?;
+    if options.check {
+        for figure in measured_otherwise()? {
+            step::note(&format!("target/reports has {figure}"));
+        }
+    }
     match (stale.is_empty(), options.check) {
         (true, _) => step::note(&format!("every page shows the figures of {DATA}")),
         (false, false) => step::note(&format!("written: {}", stale.join(", "))),
@@ -164,30 +171,35 @@ fn pages() -> Result<Vec<(PathBuf, String)>> {
     Ok(found.into_iter().map(read).collect())
 }
 
-/// Brings the values of the reports into the data.
-fn take() -> Result<()> {
-    let mut figures = read()?;
-    let mut reports: HashMap<String, Option<Value>> = HashMap::new();
-    let (mut taken, mut kept) = (0, Vec::new());
-    for figure in figures.sections.iter_mut().flat_map(|s| &mut s.figures) {
-        let Some(source) = &figure.from else {
-            kept.push(format!("{} (its command leaves no report)", figure.id));
-            continue;
-        };
-        let report = reports.entry(source.report.clone()).or_insert_with(|| {
+/// The reports that were read, by name; none where there is no such report.
+#[derive(Default)]
+struct Reports(HashMap<String, Option<Value>>);
+
+impl Reports {
+    /// The values that the reports have for a figure, or why there are none.
+    fn values(&mut self, source: &Source) -> Result<Vec<Value>> {
+        let report = self.0.entry(source.report.clone()).or_insert_with(|| {
             let text = fs::read_to_string(target("reports").join(&source.report)).ok()?;
             serde_json::from_str(&text).ok()
         });
-        match report.as_ref().map(|report| source.values(report)) {
-            Some(Ok(values)) => {
+        match report {
+            Some(report) => source.values(report),
+            None => bail!("no target/reports/{}", source.report),
+        }
+    }
+}
+
+/// Brings the values of the reports into the data.
+fn take() -> Result<()> {
+    let (mut figures, mut reports) = (read()?, Reports::default());
+    let (mut taken, mut kept) = (0, Vec::new());
+    for figure in figures.sections.iter_mut().flat_map(|s| &mut s.figures) {
+        match reports.values(&figure.from) {
+            Ok(values) => {
                 figure.values = values;
                 taken += 1;
             }
-            Some(Err(why)) => kept.push(format!("{} ({why})", figure.id)),
-            None => kept.push(format!(
-                "{} (no target/reports/{})",
-                figure.id, source.report
-            )),
+            Err(why) => kept.push(format!("{} ({why})", figure.id)),
         }
     }
     figures.judge()?;
@@ -198,6 +210,19 @@ fn take() -> Result<()> {
         step::note(&format!("kept: {figure}"));
     }
     Ok(())
+}
+
+/// The figures for which the reports on this computer have other values. Those of a test with random
+/// inputs differ from run to run, so this is no error.
+fn measured_otherwise() -> Result<Vec<String>> {
+    let (figures, mut reports) = (read()?, Reports::default());
+    let found = figures.all().filter_map(|figure| {
+        let values = reports.values(&figure.from).ok()?;
+        let written = serde_json::to_string(&figure.values).ok()?;
+        let measured = serde_json::to_string(&values).ok()?;
+        (written != measured).then(|| format!("{}: {measured}, not {written}", figure.id))
+    });
+    Ok(found.collect())
 }
 
 impl Source {
@@ -340,14 +365,15 @@ impl Figures {
                     figure.id
                 );
             }
-            if let Some(from) = &figure.from
-                && from.paths.len() != holes
-            {
+            if figure.from.paths.len() != holes {
                 bail!(
                     "{DATA}: {} has {holes} places for {} paths",
                     figure.id,
-                    from.paths.len()
+                    figure.from.paths.len()
                 );
+            }
+            if figure.command.contains("..") {
+                bail!("{DATA}: the command of {} is not a whole one", figure.id);
             }
             if seen.insert(&figure.id, ()).is_some() {
                 bail!("{DATA}: two figures are called {}", figure.id);

@@ -13,6 +13,7 @@ mod fuzz;
 mod lint;
 mod mutants;
 mod netlist;
+mod passes;
 mod python;
 mod regen;
 mod setup;

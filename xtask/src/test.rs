@@ -1,8 +1,8 @@
 //! The test pyramid, one line per level. Lower levels need Rust only.
 
 use crate::{
-    bitstream, build, cargo_tests, faults, fuzz, lint, netlist as gates, python, regen, setup,
-    slowest, step, target,
+    bitstream, build, cargo_tests, faults, fuzz, lint, netlist as gates, passes, python, regen,
+    setup, slowest, step, target,
 };
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
@@ -395,6 +395,7 @@ fn script(name: &str, title: &str, expect: &str, path: &str) -> Result<usize> {
     if results.is_empty() {
         bail!("{title}: nothing ran; see target/logs/{log}.log");
     }
+    passes::report(name, &results)?;
     Ok(results.len())
 }
 

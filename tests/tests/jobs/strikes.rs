@@ -2,7 +2,7 @@
 
 use crate::rig::*;
 use ferrocnc_tests::plotter::Plotter;
-use ferrocnc_tests::stops::{Job, Shape, Used, Way};
+use ferrocnc_tests::stops::{Job, STEPS, Shape, Used, Way};
 use host::job::client::Board;
 use rand::Rng as _;
 use std::time::{Duration, Instant};
@@ -176,5 +176,6 @@ fn any_streamed_job_stops_each_axis_within_its_own_way_whatever_strikes() {
         let (strikes, part) = struck(seed);
         used.see(strikes, part);
     }
-    used.print("streamed over UDP");
+    let allowed = serde_json::json!({ "steps_allowed": STEPS });
+    used.report("streamed over UDP", allowed);
 }

@@ -95,10 +95,8 @@ fn selecting_survives_the_plug_at_every_step_of_forty_selections() {
         assert_eq!(bench.select(slot), Went::OK);
         bench = bench.power_cycle();
     }
-    println!(
-        "{cuts} cuts in selections, {} of them ran golden",
-        to_golden.get()
-    );
+    println!("{} cuts in selections ran golden", to_golden.get());
+    report_cuts("selections", cuts);
 }
 
 /// How often that is, given that the power fails within these 45 ms of one selection in thirty-two.
@@ -122,7 +120,8 @@ fn an_erase_of_the_stubs_that_is_cut_seldom_runs_the_golden_image_and_is_repaire
     assert_eq!(whole.select(slot), Went::OK);
     let steps = whole.nor().steps() - begun;
     let (mut cut_in_erase, mut golden) = (0, 0);
-    for seed in 0..2_000 {
+    let cuts = 2_000;
+    for seed in 0..cuts {
         let mut bench = Bench::new(nor.copy());
         let step = bench.nor().steps() + seed % steps;
         bench.cut_at(Cut {
@@ -141,6 +140,7 @@ fn an_erase_of_the_stubs_that_is_cut_seldom_runs_the_golden_image_and_is_repaire
         assert_eq!(boots(&bench.nor()), new, "seed {seed}");
     }
     println!("{golden} of {cut_in_erase} cuts in or behind the erase ran golden");
+    report_cuts("a selection that erases", cuts);
     assert!(golden < cut_in_erase);
 }
 
@@ -195,7 +195,7 @@ fn an_update_survives_the_plug_at_every_byte() {
             |bench| bench.update(SECOND, 14),
             |bench, cut| drop(judge_update(bench, &golden, SECOND, &cut)),
         );
-        println!("{}: {cuts} cuts in an update", part.name);
+        report_cuts(&format!("an update, {}", part.name), cuts);
     }
 }
 
@@ -233,7 +233,7 @@ fn updates_survive_a_plug_that_is_pulled_again_and_again() {
         }
         judge_update(bench, &golden, SECOND, &(seed, story));
     }
-    println!("{cuts} cuts in 900 tries");
+    report_cuts("updates again and again", u64::from(cuts));
 }
 
 #[test]

@@ -171,5 +171,6 @@ fn protecting_golden_survives_the_plug_and_is_there_at_last() {
             },
         );
         assert!(cuts >= 16, "{}", part.name);
+        report_cuts(&format!("protecting golden, {}", part.name), cuts);
     }
 }

@@ -76,6 +76,12 @@ pub fn cut_everywhere<R>(
     cuts
 }
 
+/// `target/reports/cuts.json`: how often the power was cut, by what was cut.
+pub fn report_cuts(what: &str, cuts: u64) {
+    println!("{cuts} cuts in {what}");
+    ferrocnc_tests::report_part("cuts", what, cuts.into());
+}
+
 pub fn golden_of(nor: &Nor) -> Vec<u8> {
     let layout = flash::layout(nor);
     nor.cells()[layout.golden.start as usize..].to_vec()

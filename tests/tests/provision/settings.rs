@@ -73,7 +73,7 @@ fn settings_survive_the_plug_at_every_step_of_a_save() {
             bench = bench.power_cycle();
         }
     }
-    println!("{cuts} cuts in saves");
+    report_cuts("saves", cuts);
 }
 
 #[test]
@@ -99,7 +99,7 @@ fn forgetting_settings_survives_the_plug_at_every_step() {
             );
         },
     );
-    println!("{cuts} cuts while forgetting");
+    report_cuts("forgetting", cuts);
 }
 
 #[test]
@@ -125,7 +125,7 @@ fn settings_told_by_discovery_survive_the_plug_at_every_step() {
             );
         },
     );
-    println!("{cuts} cuts in a Set");
+    report_cuts("a Set of discovery", cuts);
 }
 
 #[test]

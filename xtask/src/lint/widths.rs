@@ -9,7 +9,7 @@ use std::fs;
 const WIDTH: usize = 100;
 
 /// Endings of files with comments, and the signs a comment begins with.
-const MARKS: [(&str, &str); 13] = [
+const MARKS: [(&str, &str); 14] = [
     ("c", "//"),
     ("cpp", "//"),
     ("h", "//"),
@@ -22,6 +22,7 @@ const MARKS: [(&str, &str); 13] = [
     ("py", "#"),
     ("sh", "#"),
     ("toml", "#"),
+    ("txt", "#"),
     ("yml", "#"),
 ];
 

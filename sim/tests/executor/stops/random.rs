@@ -34,6 +34,8 @@ mod watch;
 
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg32;
+use serde_json::Value;
+use sim::figures::Used;
 use sim::stimulus::from_environment;
 
 /// Of each kind, unless told otherwise.
@@ -42,6 +44,16 @@ const CASES: u64 = 25;
 fn seeds() -> std::ops::Range<u64> {
     let first = from_environment("FERROCNC_SEED", 1);
     first..first + from_environment("FERROCNC_STOPS", CASES)
+}
+
+/// Runs one of each seed; `target/reports/stops.json` tells what they used.
+fn each<Cause: std::fmt::Debug>(part: &str, run: impl Fn(u64) -> (Cause, f64)) {
+    let mut used = Used::default();
+    for seed in seeds() {
+        let (cause, part) = run(seed);
+        used.see(cause, part);
+    }
+    used.report(part, Value::Null);
 }
 
 fn dice(seed: u64) -> Pcg32 {

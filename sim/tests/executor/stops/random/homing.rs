@@ -1,8 +1,8 @@
 //! Stops during homing.
 
 use super::player::{Player, Trouble};
-use super::watch::{HZ, Used, Watch, exact, strays};
-use super::{axis, dice, magnitude, one_of, seeds};
+use super::watch::{HZ, Watch, exact, strays};
+use super::{axis, dice, each, magnitude, one_of};
 use crate::rig::*;
 use firmware::cores::Board as _;
 use motion::segment::AXES;
@@ -29,11 +29,7 @@ const LATE: f64 = 2e-3;
 
 #[test]
 fn in_mid_homing_every_axis_stands_within_its_own_stop_whatever_the_cause() {
-    let mut used = Used::default();
-    for seed in seeds() {
-        used.see(homing(seed));
-    }
-    used.print("homing");
+    each("homings", homing);
 }
 
 /// A machine, its axes in steps/s^2 and steps/s of the fast search, and its switches.

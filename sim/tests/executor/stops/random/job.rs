@@ -1,8 +1,8 @@
 //! Stops in a job, on a board that executes it itself and on one to which a PC streams it.
 
 use super::player::{Player, Trouble, left_behind};
-use super::watch::{HZ, Used, Watch, exact, strays};
-use super::{axis, dice, magnitude, one_of, seeds};
+use super::watch::{HZ, Watch, exact, strays};
+use super::{axis, dice, each, magnitude, one_of};
 use crate::rig::*;
 use firmware::cores::Board as _;
 use motion::segment::AXES;
@@ -27,20 +27,12 @@ const LETTERS: [&str; AXES] = ["X", "Y", "Z"];
 
 #[test]
 fn in_a_job_every_axis_stands_within_its_own_stop_whatever_the_cause() {
-    let mut used = Used::default();
-    for seed in seeds() {
-        used.see(job(seed, false));
-    }
-    used.print("job");
+    each("jobs", |seed| job(seed, false));
 }
 
 #[test]
 fn in_a_streamed_job_every_axis_stands_within_its_own_stop_whatever_the_cause() {
-    let mut used = Used::default();
-    for seed in seeds() {
-        used.see(job(seed, true));
-    }
-    used.print("streamed job");
+    each("streamed jobs", |seed| job(seed, true));
 }
 
 /// A machine, its axes in steps/s^2 and steps/s, and a program that ends at its limits.

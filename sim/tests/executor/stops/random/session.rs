@@ -1,8 +1,8 @@
 //! Stops under a host, as under LinuxCNC.
 
 use super::super::client::Client;
-use super::watch::{HZ, TURN, Used, Watch, exact};
-use super::{axis, dice, magnitude, one_of, seeds};
+use super::watch::{HZ, TURN, Watch, exact};
+use super::{axis, dice, each, magnitude, one_of};
 use crate::rig::*;
 use firmware::cores::{Board as _, Control};
 use motion::segment::AXES;
@@ -52,11 +52,7 @@ impl Cause {
 
 #[test]
 fn in_a_session_every_axis_stands_within_its_own_stop_whatever_the_cause() {
-    let mut used = Used::default();
-    for seed in seeds() {
-        used.see(session(seed));
-    }
-    used.print("session");
+    each("sessions", session);
 }
 
 /// A machine, and what its host says of it.

@@ -2,10 +2,8 @@
 
 use super::super::stopping;
 use crate::rig::*;
-use core::fmt::Debug;
 use firmware::cores::Board as _;
 use motion::segment::AXES;
-use std::collections::BTreeMap;
 use wire::exchange::STATUS_STEPGEN;
 use wire::map;
 use wire::regmap::{status, timebase};
@@ -102,25 +100,6 @@ impl Watch {
             used = used.max(way / most);
         }
         used
-    }
-}
-
-/// What the worst of each kind has used of the way it is allowed.
-#[derive(Default)]
-pub struct Used(BTreeMap<String, (u64, f64)>);
-
-impl Used {
-    pub fn see(&mut self, (cause, used): (impl Debug, f64)) {
-        let (count, worst) = self.0.entry(format!("{cause:?}")).or_default();
-        *count += 1;
-        *worst = worst.max(used);
-    }
-
-    /// `cargo test -- --nocapture` shows it.
-    pub fn print(&self, kind: &str) {
-        for (cause, (count, worst)) in &self.0 {
-            println!("{kind}, {cause}: {count}, at most {worst:.3} of the way allowed");
-        }
     }
 }
 
