@@ -79,8 +79,8 @@ struct Figure {
 struct Source {
     /// A file in `target/reports`.
     report: String,
-    /// One per value: `/axes/0/pulses`. `name=x` selects from a list, `*` is every element, and
-    /// then a word in front says what is made of them: `max`, `min` or `sum`.
+    /// One per value: `/axes/0/pulses`. `name=x` selects from a list, `a|b` is both, `*` is every
+    /// element, and then a word in front says what is made of them: `max`, `min` or `sum`.
     paths: Vec<String>,
     /// The report counts only if it has these values: the day's soak, not the minute's.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
@@ -283,6 +283,9 @@ fn children<'a>(value: &'a Value, segment: &str) -> Vec<&'a Value> {
             .collect(),
         (Value::Array(list), None) if segment == "*" => list.iter().collect(),
         (Value::Object(map), None) if segment == "*" => map.values().collect(),
+        (Value::Object(map), None) if segment.contains('|') => {
+            segment.split('|').filter_map(|key| map.get(key)).collect()
+        }
         (Value::Array(list), None) => segment
             .parse()
             .ok()
@@ -527,6 +530,9 @@ mod tests {
             source.values(&report).unwrap(),
             [json!(4), json!(4), json!(5), json!(1)]
         );
+        let of_two = json!({"a": {"n": 1}, "b": {"n": 2}, "c": {"n": 4}});
+        let both = self::source("x.json", &["sum /a|b/n"]);
+        assert_eq!(both.values(&of_two).unwrap(), [json!(3)]);
         source.digits = 1;
         assert_eq!(source.values(&report).unwrap()[0], json!(4), "a count");
         source.scale = 10.0;
