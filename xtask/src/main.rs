@@ -5,6 +5,7 @@ mod bench;
 mod bitstream;
 mod build;
 mod cargo_tests;
+mod counts;
 mod demo;
 mod docs;
 mod faults;
@@ -59,6 +60,9 @@ enum Task {
     Docs,
     /// Write docs/figures.md and the marked places of other pages from docs/figures.json.
     Figures(figures::Options),
+    /// Count the lines of each crate, circles of modules, what is too long and clippy's warnings, now
+    /// and before the tree was put in order.
+    Counts(counts::Options),
     /// Feed what comes from outside with random inputs: 60 s per target, or as long as said.
     Fuzz(fuzz::Options),
     /// Mutation tests: change the code in one place at a time, and list each change that no test
@@ -82,6 +86,7 @@ fn main() -> std::process::ExitCode {
         Task::Bench(options) => bench::run(&options),
         Task::Docs => docs::run(),
         Task::Figures(options) => figures::run(&options),
+        Task::Counts(options) => counts::run(&options),
         Task::Fuzz(options) => fuzz::run(&options),
         Task::Lint => lint::run(),
         Task::Mutants(options) => mutants::run(&options),

@@ -101,9 +101,10 @@ pub fn run(options: &Options) -> Result<()> {
         Options { levels, .. } if levels.is_empty() => ALL,
         Options { levels, .. } => levels,
     };
+    let begun = Instant::now();
     prepare(levels)?;
     let outcomes = side_by_side(levels);
-    report(&outcomes)?;
+    report(&outcomes, begun.elapsed().as_secs_f32() / 60.0)?;
     step::heading("the pyramid");
     let (mut passed, mut failed) = (0, 0);
     for outcome in &outcomes {
@@ -227,8 +228,9 @@ fn side_by_side(levels: &[Level]) -> Vec<Outcome> {
     outcomes
 }
 
-/// Writes target/reports/pyramid.json: the levels, and the slowest of the tests with a board.
-fn report(outcomes: &[Outcome]) -> Result<()> {
+/// Writes target/reports/pyramid.json: the levels, all their minutes with what was built for them,
+/// and the slowest of the tests with a board.
+fn report(outcomes: &[Outcome], minutes: f32) -> Result<()> {
     let levels: Vec<_> = outcomes
         .iter()
         .map(|outcome| {
@@ -245,7 +247,10 @@ fn report(outcomes: &[Outcome]) -> Result<()> {
         .into_iter()
         .map(|(test, seconds)| json!({ "test": test, "seconds": seconds.round() }))
         .collect();
-    let report = json!({ "levels": levels, "slowest": slowest });
+    let whole = outcomes.len() == ALL.len();
+    let report = json!({
+        "levels": levels, "whole": u32::from(whole), "minutes": minutes.round(), "slowest": slowest,
+    });
     std::fs::write(&path, format!("{report:#}\n"))
         .with_context(|| format!("cannot write {}", path.display()))
 }
@@ -364,9 +369,9 @@ impl Level {
             Level::Clients => {
                 Ok(board_tests("clients", "2 min", "1")? + board_tests("network", "2 min", "3")?)
             }
-            Level::Twin => {
-                Ok(board_tests("twin", "3 min", "1")? + board_tests("trouble", "7 min", "1")?)
-            }
+            Level::Twin => Ok(board_tests("twin", "3 min", "1")?
+                + board_tests("guide", "2 min", "1")?
+                + board_tests("trouble", "7 min", "1")?),
             Level::Linuxcnc => board_tests("linuxcnc", "10 min", "1"),
             // Two at once: as many cores as the smallest machine that runs this has.
             Level::Fuzz => fuzz::fuzz(&fuzz::targets()?, FUZZ, 2),

@@ -1,9 +1,12 @@
 //! Checks that no sibling modules, each with its submodules, depend on each other in a circle. A
 //! module and its parent may. Tests and names from `use super::*` are left out.
 
-use crate::{root, tree};
+#[cfg(test)]
+use crate::root;
+use crate::tree;
+use anyhow::Result;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 type Name = Vec<String>;
 /// The modules of a crate, each with its words and signs.
@@ -153,26 +156,34 @@ fn circles(modules: &Modules) -> Vec<String> {
     bad.map(|(.., said)| said.clone()).collect()
 }
 
+/// The crates of a tree: the file that each begins with.
+fn crates(root: &Path) -> Result<Vec<PathBuf>> {
+    let mut files = tree::with_ending(root, "rs")?;
+    files.retain(|file| {
+        let generated = file.starts_with("pac");
+        !generated && (file.ends_with("src/lib.rs") || file.ends_with("main.rs"))
+    });
+    Ok(files)
+}
+
+/// Every use of a tree that is part of a circle.
+pub fn all(root: &Path) -> Result<Vec<String>> {
+    let mut found = Vec::new();
+    for file in crates(root)? {
+        let (whole, mut modules) = (root.join(&file), Modules::new());
+        let folder = whole.with_file_name("");
+        read(&whole, &folder, Name::new(), &mut modules);
+        let circle = |said| format!("{}: {said}", file.display());
+        found.extend(circles(&modules).into_iter().map(circle));
+    }
+    Ok(found)
+}
+
 #[test]
 fn no_modules_use_each_other_in_a_circle() {
-    let (mut found, mut crates) = (Vec::new(), 0);
-    for file in tree::with_ending(root(), "rs").unwrap() {
-        let folder = file.parent().unwrap();
-        let generated = file.starts_with("pac");
-        if !generated && (file.ends_with("src/lib.rs") || file.ends_with("main.rs")) {
-            let mut modules = Modules::new();
-            read(
-                &root().join(&file),
-                &root().join(folder),
-                Name::new(),
-                &mut modules,
-            );
-            crates += 1;
-            let circle = |said| format!("{}: {said}", file.display());
-            found.extend(circles(&modules).into_iter().map(circle));
-        }
-    }
+    let crates = crates(root()).unwrap().len();
     assert!(crates > 10, "{crates} crates were found");
+    let found = all(root()).unwrap();
     assert!(
         found.is_empty(),
         "modules use each other:\n{}",
