@@ -491,7 +491,7 @@ work.
 
 `max`, 16 step generators, 16 encoders, 16 PWM, 32 + 32 I/O, is the largest board that can be
 simulated. It has no pins on a card. It is packed ([size](size.md)) but does not route since the
-gateware answers the exchange itself: some 3000 wires around the processor stay shared
+gateware answers the exchange itself: too many wires around the processor stay shared
 ([decision 30](decisions/0030-the-rom-in-two-parts.md)). The largest boards that route have 9 step
 generators, 9 encoders and 8 PWM.
 

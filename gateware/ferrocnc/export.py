@@ -345,7 +345,7 @@ def registers_md(banks, abi):
 
 
 def _prose(text, indent=""):
-    """Text in lines of at most 100 columns; one that is broken does not begin with a sign of a list."""
+    """Text in lines of at most 100 columns. None but the first begins with the sign of a list."""
     lines = textwrap.wrap(text, 100, initial_indent=indent, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
     assert not any(re.match(r"\s*([-+*]|\d+[.)]) ", line) for line in lines[1:]), text
     return lines

@@ -137,7 +137,7 @@ impl core::fmt::Display for KeyError {
         match self {
             KeyError::Missing(path) => write!(
                 f,
-                "the board wants a key, and there is none at {}; copy that file from the computer where the key was made (ferrocnc key new), or name another: --key FILE, with loadrt key=FILE. If the key is lost: start the board with its factory pin held, then: ferrocnc key clear",
+                "the board requires a key, and there is none at {}; copy that file from the computer where the key was made (ferrocnc key new), or name another: --key FILE, with loadrt key=FILE. If the key is lost: start the board with its factory pin held, then: ferrocnc key clear",
                 path.display()
             ),
             KeyError::Open(path, mode) => write!(

@@ -92,7 +92,7 @@ impl core::fmt::Display for ProvisionError {
                     SettingsError::Value(5) => "the netmask must have 1 to 30 bits",
                     SettingsError::Value(6) => "no gateway can have this address",
                     SettingsError::Value(7) =>
-                        "this is no MAC address of a single station: its first byte must be even",
+                        "this is not a MAC address of a single station: its first byte must be even",
                     SettingsError::Value(9) =>
                         "the port must be from 1 to 65535, and not 51234, where boards are found",
                     SettingsError::Value(22) => "no syslog server can have this address",

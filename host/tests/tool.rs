@@ -157,5 +157,5 @@ fn completions_and_manual_pages_name_every_command() {
     }
     assert!(sending.contains(".SH SYNOPSIS"), "{sending}");
     let missing = complaint(&["man", "/nonexistent"]);
-    assert!(missing.contains("/nonexistent is no folder; make it first"));
+    assert!(missing.contains("/nonexistent is not a folder; create it first"));
 }

@@ -3,8 +3,9 @@
 //! written from that file.
 //!
 //! `--take` brings the values of `target/reports/*.json` into the file. Every figure says which
-//! report has it and where, so none is written by hand. A figure whose report is not there keeps its
-//! value, and the command names it; so does `--check` with a figure whose report has other values.
+//! report has it and where, so none is written by hand. A figure whose report is not there keeps
+//! its value, and the command names it; so does `--check` with a figure whose report has other
+//! values.
 //!
 //! A page shows figures in two ways; what stands between the marks is written by this command:
 //!
@@ -35,8 +36,8 @@ pub struct Options {
     /// First take the values of the reports in target/reports into docs/figures.json.
     #[arg(long)]
     take: bool,
-    /// Change nothing; fail if a page differs from docs/figures.json, and name the figures for which
-    /// target/reports has other values.
+    /// Change nothing; fail if a page differs from docs/figures.json, and name the figures for
+    /// which target/reports has other values.
     #[arg(long, conflicts_with = "take")]
     check: bool,
 }
@@ -212,8 +213,8 @@ fn take() -> Result<()> {
     Ok(())
 }
 
-/// The figures for which the reports on this computer have other values. Those of a test with random
-/// inputs differ from run to run, so this is no error.
+/// The figures for which the reports on this computer have other values. Those of a test with
+/// random inputs differ from run to run, so this is no error.
 fn measured_otherwise() -> Result<Vec<String>> {
     let (figures, mut reports) = (read()?, Reports::default());
     let found = figures.all().filter_map(|figure| {

@@ -60,8 +60,8 @@ enum Task {
     Docs,
     /// Write docs/figures.md and the marked places of other pages from docs/figures.json.
     Figures(figures::Options),
-    /// Count the lines of each crate, circles of modules, what is too long and clippy's warnings, now
-    /// and before the tree was put in order.
+    /// Count the lines of each crate, circles of modules, what is too long and clippy's warnings,
+    /// now and before the tree was put in order.
     Counts(counts::Options),
     /// Feed what comes from outside with random inputs: 60 s per target, or as long as said.
     Fuzz(fuzz::Options),

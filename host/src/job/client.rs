@@ -120,7 +120,7 @@ impl std::fmt::Display for JobError {
             }
             JobError::Name(name) => write!(
                 f,
-                "{name:?} is no name for a job on a board: 1 to {NAME} bytes, printable; --name gives another"
+                "{name:?} is not a name for a job on a board: 1 to {NAME} bytes, printable; --name gives another"
             ),
             JobError::Long(bytes) => write!(f, "a job of {bytes} bytes fits on no board"),
             JobError::Key(error) => error.fmt(f),

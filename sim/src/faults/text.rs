@@ -35,7 +35,7 @@ fn probability(text: &str) -> Result<f64, String> {
 }
 
 fn time(text: &str) -> Result<Duration, String> {
-    let wrong = || format!("{text:?} is no time; say for instance 2s, 1.5ms, 20us or 500ns");
+    let wrong = || format!("{text:?} is not a time; write for example 2s, 1.5ms, 20us or 500ns");
     let split = text
         .find(|c: char| c.is_ascii_alphabetic())
         .ok_or_else(wrong)?;
@@ -73,7 +73,7 @@ fn range(text: &str) -> Result<(Duration, Option<Duration>), String> {
 }
 
 fn rate(text: &str) -> Result<u64, String> {
-    let wrong = || format!("{text:?} is no rate; say for instance 10Mbit, 500kbit or 9600bit");
+    let wrong = || format!("{text:?} is not a rate; write for example 10Mbit, 500kbit or 9600bit");
     let number = text.strip_suffix("bit").ok_or_else(wrong)?;
     let (number, scale) = match number.as_bytes().last() {
         Some(b'k') => (&number[..number.len() - 1], 1e3),
@@ -134,7 +134,7 @@ impl FromStr for Rule {
             Some(("from-board", rest)) => (Some(Direction::FromBoard), rest),
             Some((other, _)) => {
                 return Err(format!(
-                    "{other:?} is no direction; say to-board: or from-board:, or none for both"
+                    "{other:?} is not a direction; write to-board: or from-board:, or nothing for both"
                 ));
             }
             None => (None, word),

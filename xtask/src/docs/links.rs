@@ -50,7 +50,10 @@ fn judge(
     }
     let anchor = anchor?;
     match texts.get(&file) {
-        None => Some(format!("{} is no page and has no anchors", file.display())),
+        None => Some(format!(
+            "{} is not a page and has no anchors",
+            file.display()
+        )),
         Some(text) if anchors(text).iter().any(|known| known == anchor) => None,
         Some(_) => Some(format!("{} has no such heading", file.display())),
     }

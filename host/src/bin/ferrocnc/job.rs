@@ -148,7 +148,7 @@ fn page(text: &str) -> Result<[f64; 2], String> {
         .ok_or("width x height in mm, as 210x297")?;
     let length = |text: &str| match text.parse::<f64>() {
         Ok(length) if length > 0.0 && length <= 1e4 => Ok(length),
-        _ => Err(format!("{text:?} is no length in mm")),
+        _ => Err(format!("{text:?} is not a length in mm")),
     };
     Ok([length(width)?, length(height)?])
 }

@@ -42,7 +42,7 @@ pub fn completions(arguments: &Completions) -> Result<()> {
 pub fn manual(arguments: &Manual) -> Result<()> {
     let folder = &arguments.folder;
     if !folder.is_dir() {
-        bail!("{} is no folder; make it first", folder.display());
+        bail!("{} is not a folder; create it first", folder.display());
     }
     let mut command = Arguments::command();
     command.build();

@@ -196,7 +196,8 @@ fn parse_mac(text: &str) -> Result<Mac, String> {
     if text == "auto" {
         return Ok(Mac([0; 6]));
     }
-    let wrong = || format!("\"{text}\" is no MAC address; write it as 02:12:34:56:78:9a, or auto");
+    let wrong =
+        || format!("\"{text}\" is not a MAC address; write it as 02:12:34:56:78:9a, or auto");
     let bytes: Result<Vec<u8>, _> = text
         .split([':', '-'])
         .map(|part| match part.len() {
@@ -207,7 +208,7 @@ fn parse_mac(text: &str) -> Result<Mac, String> {
     let bytes: [u8; 6] = bytes?.try_into().map_err(|_| wrong())?;
     match bytes {
         [0, 0, 0, 0, 0, 0] => {
-            Err("0 is no MAC address; auto makes one from the unique id".to_owned())
+            Err("0 is not a MAC address; auto makes one from the unique id".to_owned())
         }
         bytes => Ok(Mac(bytes)),
     }
