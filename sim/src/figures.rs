@@ -32,8 +32,8 @@ impl Used {
         *worst = worst.max(used);
     }
 
-    /// Prints each kind (`cargo test -- --nocapture` shows it) and puts the runs and the worst of all
-    /// into `target/reports/stops.json`, with what else was found.
+    /// Prints each kind, and puts the runs and the worst of all into `target/reports/stops.json`,
+    /// with what else was found.
     pub fn report(&self, part: &str, more: Value) {
         for (kind, (count, worst)) in &self.0 {
             println!("{part}, {kind}: {count}, at most {worst:.3} of the way allowed");

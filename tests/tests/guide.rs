@@ -265,8 +265,8 @@ fn simulator(page: &str) -> Vec<String> {
 
 /// Step 4, and with another address step 10: E-stop off, machine on, home, a program.
 ///
-/// Two things differ from the page. The twin's time passes with the exchanges, so a busy computer is
-/// not late; and `headless.ini` types what the page says, so no screen is needed.
+/// Two things differ from the page. The twin's time passes with the exchanges, so a busy computer
+/// is not late; and `headless.ini` types what the page says, so no screen is needed.
 #[test]
 fn linuxcnc_drives_the_simulated_board() {
     let begins = "linuxcnc host/examples/mill/";
