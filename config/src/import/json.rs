@@ -30,7 +30,7 @@ fn wrong(file: &str, text: &str, at: Option<(usize, usize)>, problem: &str) -> E
         key: String::new(),
         value: String::new(),
         problem: format!("is not JSON: {problem}"),
-        remedy: "a configuration of LiteX-CNC is wanted, the file `litexcnc build_firmware` takes"
+        remedy: "expected a configuration of LiteX-CNC: the file that `litexcnc build_firmware` reads"
             .to_owned(),
     })
 }

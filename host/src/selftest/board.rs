@@ -48,12 +48,12 @@ fn sdram(facts: &Facts) -> Finding {
             check,
             "failed its test at start",
             "it does not keep what is written into it: a solder joint, a shorted line, a bad chip",
-            "reflow the SDRAM's pins and look for bridges; `sdram = false` in the board file does without",
+            "reflow the SDRAM's pins and look for bridges; with `sdram = false` in the board file the board works without it",
         ),
         state @ (JobsState::Missing | JobsState::Damaged | JobsState::Foreign) => Finding::note(
             check,
             format!("passed its test at start; services: {}", state.text()),
-            "the services did not come from the flash whole and of this build",
+            "the flash has no complete services of this build",
             "`ferrocnc update` with this board's .bit",
         ),
         JobsState::Loading => Finding::note(
@@ -82,7 +82,7 @@ fn start(facts: &Facts) -> Finding {
             check,
             fact,
             "the firmware met a state that must not occur",
-            "send this report; a supply below 4.5 V or a bad ROM bit can look like this",
+            "send this report; a supply below 4.5 V or a bad bit in the ROM can be the cause",
         );
     }
     match reason {

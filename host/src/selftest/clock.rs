@@ -160,7 +160,7 @@ fn ethernet(counted: &Counted, hz: u32, speed: LinkSpeed, by_host: Option<(f64, 
         return Finding::bad(
             check,
             "stands still",
-            "and yet frames come and go: its wire to the counter is broken, or the PHY stops it between frames",
+            "but frames arrive and leave: its wire to the counter is broken, or the PHY stops it between frames",
             "send this report, with the card's name",
         );
     }
@@ -198,7 +198,7 @@ fn ethernet(counted: &Counted, hz: u32, speed: LinkSpeed, by_host: Option<(f64, 
             "compare the card with its platform (docs/bringup.md)",
         ),
         _ => (
-            "no two of the board's clock, this one and this computer's agree",
+            "the board's clock, this one and this computer's all differ",
             "another computer, another switch, and look again",
         ),
     };
@@ -244,7 +244,7 @@ fn system(samples: &[Sample], hz: u32) -> Finding {
         return Finding::bad(
             check,
             format!("{jumps} jumps; {fact}"),
-            "clocks are missing between some looks: the PLL loses its lock, or the PHY stops its clock",
+            "clocks are missing between some measurements: the PLL loses its lock, or the PHY stops its clock",
             "check the supply and the PHY's clock output; send this report",
         );
     }

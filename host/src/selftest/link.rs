@@ -40,14 +40,14 @@ fn phy(facts: &Facts) -> Finding {
         LinkSpeed::Down => Finding::note(
             check,
             "says nothing of its link, and the board answers over it",
-            "the PHY's in-band status is off, so a pulled cable stops the machine by the watchdog only",
+            "the PHY's in-band status is off, so only the watchdog stops the machine when the cable is pulled",
             "say which card this is when you send the report",
         ),
         speed if !link.full_duplex => Finding::bad(
             check,
             format!("{speed}, {duplex}"),
             "frames of both sides collide and wait",
-            "use a switch instead of a hub, and no fixed speed at the other end",
+            "use a switch instead of a hub, and do not set a fixed speed at the other end",
         ),
         LinkSpeed::M1000 => Finding::good(check, format!("{}, {duplex}", link.speed)),
         speed @ (LinkSpeed::M10 | LinkSpeed::M100) => Finding::note(

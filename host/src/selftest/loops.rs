@@ -420,9 +420,9 @@ pub fn judge_counts(facts: &Counts) -> Finding {
             check,
             fact,
             &format!(
-                "{lost} steps are missing: a level that is hardly one, or a filter longer than the pulse"
+                "{lost} steps are missing: a level between low and high, or a filter longer than the pulse"
             ),
-            "measure the level at A: 3.3 V and 0 V; shorten the jumper; a divider of less ohms",
+            "measure the level at A: 3.3 V and 0 V; shorten the jumper; a divider with lower resistance",
         );
     }
     Finding::bad(

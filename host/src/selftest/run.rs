@@ -156,7 +156,7 @@ fn look(
         Err(_) => findings.push(Finding::bad(
             "flash",
             "an operation of the flash failed",
-            "the chip answers its id and does not read, or another program uses the board",
+            "the chip returns its id, but reads fail; or another program uses the board",
             "test again; if it stays, reflow the flash",
         )),
     }

@@ -154,13 +154,13 @@ impl FromStr for Rule {
                 Some(_),
                 _,
             ) => Err(format!(
-                "{name} has no direction; leave to-board: or from-board: away"
+                "{name} has no direction; remove to-board: or from-board:"
             )),
             (Kind::Reboot | Kind::Power, _, Some((_, Some(_)))) => {
                 Err(format!("{name} is a moment; say {name}@3s"))
             }
             (Kind::HostPause, _, Some((_, None)) | None) => Err(format!(
-                "a pause that does not end is a pulled cable; say {name}@2s..3s"
+                "a pause needs an end (without one it is a pulled cable); write {name}@2s..3s"
             )),
             _ => Ok(Rule {
                 kind,
