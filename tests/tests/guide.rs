@@ -229,14 +229,27 @@ fn a_new_card_is_flashed_found_tested_and_watched() {
     reader.types(&line(FIRST_MACHINE, "sudo ip address add "));
     let said = reader.types(&line(FIRST_MACHINE, "ferrocnc discover"));
     assert!(said.contains("192.168.2.50"), "{said}");
-    let said = reader.types(&line(FIRST_MACHINE, "ferrocnc selftest "));
-    assert!(reader.checkout.join("card.txt").exists(), "{said}");
+    // The twin's clock is this computer's, which other programs hold up.
+    let (_, said) = reader.tries(&line(FIRST_MACHINE, "ferrocnc selftest "));
+    let bad = said.lines().filter(|line| line.starts_with("BAD "));
+    let bad: Vec<&str> = bad
+        .filter(|line| !line.contains(" system clock "))
+        .collect();
+    assert!(
+        bad.is_empty() && said.contains("questions answered"),
+        "{said}"
+    );
+    let report = std::fs::read_to_string(reader.checkout.join("card.txt"));
+    assert!(
+        report.is_ok_and(|report| report.contains("golden")),
+        "{said}"
+    );
     let said = reader.types(&line(FIRST_MACHINE, "ferrocnc describe "));
-    assert!(said.contains("5a-75b-8.0"), "{said}");
+    assert!(said.contains("5A-75B V8.0"), "{said}");
     // This computer is not the one that the page describes, so it may find something.
     let (_, said) = reader.tries(&line("tuning.md", "ferrocnc doctor "));
     assert!(
-        said.contains("coalescing") && said.contains("release"),
+        said.contains("192.168.2.1/24") && said.contains("board and tool"),
         "{said}"
     );
 
@@ -313,7 +326,8 @@ fn a_job_is_sent_to_a_board_started_paused_and_stopped() {
     let own = |word: &&String| word.as_str() != "--jobs" && !word.contains(":7240");
     board.args(words.iter().filter(own));
     board.args(["--interface", "eth0", "--udp", "0.0.0.0:1234"]);
-    board.args(["--console", "0.0.0.0:23", "--jobs", "0.0.0.0:7240"]);
+    board.args(["--discovery", "0.0.0.0:51234"]);
+    board.args(["--console", "0.0.0.0:23", "--jobs", "0.0.0.0:724"]);
     board.current_dir(&reader.checkout).stdout(Stdio::piped());
     let mut board = Ends(board.spawn().expect("the simulator runs"));
     let mut ready = String::new();
@@ -349,5 +363,6 @@ fn a_job_is_sent_to_a_board_started_paused_and_stopped() {
     let said = [&ended.stdout, &ended.stderr]
         .map(|it| String::from_utf8_lossy(it))
         .concat();
-    assert!(said.contains("stopped"), "{said}");
+
+    assert!(said.contains("ended last: stopped"), "{said}");
 }
