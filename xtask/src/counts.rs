@@ -7,6 +7,7 @@ use crate::{root, step, target, tree};
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use serde_json::{Map, Value, json};
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -101,15 +102,19 @@ fn warnings(root: &Path, name: &str) -> Result<u64> {
     clippy.env("CARGO_TARGET_DIR", target(&format!("clippy-{name}")));
     let title = format!("clippy: {name}");
     let printed = step::run_quietly(&format!("clippy-{name}"), &title, "3 min", &mut clippy)?;
+    Ok(told(&printed))
+}
+
+/// How many different warnings are in cargo's messages: a target and its tests tell the same.
+fn told(printed: &str) -> u64 {
     let messages = printed.lines().filter_map(|line| {
         let message: Value = serde_json::from_str(line).ok()?;
-        let warns =
-            message["message"]["level"] == "warning" && message["message"]["code"] != json!(null);
-        warns.then(|| message["message"]["rendered"].to_string())
+        let message = &message["message"];
+        // What has no code sums up the others.
+        let warns = message["level"] == "warning" && !message["code"].is_null();
+        warns.then(|| message["rendered"].to_string())
     });
-    // A target and its tests tell the same.
-    let told: std::collections::BTreeSet<String> = messages.collect();
-    Ok(told.len() as u64)
+    messages.collect::<BTreeSet<_>>().len() as u64
 }
 
 /// A row for each count of both; what one of them does not have is 0 there.
@@ -157,5 +162,19 @@ mod tests {
         let rows = beside(&Map::new(), &counts);
         let lines = json!({"name": "lines of a", "before": 0, "now": 806});
         assert!(rows.contains(&lines), "{rows:?}");
+    }
+
+    #[test]
+    fn a_warning_counts_once_and_their_sum_does_not() {
+        let warning = |code: &str, text: &str| {
+            format!(
+                r#"{{"message": {{"level": "warning", "code": {code}, "rendered": "{text}"}}}}"#
+            )
+        };
+        let [one, two] = ["one", "two"].map(|text| warning("{}", text));
+        let sum = warning("null", "2 warnings emitted");
+        let built = r#"{"reason": "build-finished"}"#;
+        let printed = [&one, &two, &one, &sum, built].map(str::to_owned);
+        assert_eq!(told(&printed.join("\n")), 2);
     }
 }

@@ -30,8 +30,9 @@ fn wrong(file: &str, text: &str, at: Option<(usize, usize)>, problem: &str) -> E
         key: String::new(),
         value: String::new(),
         problem: format!("is not JSON: {problem}"),
-        remedy: "expected a configuration of LiteX-CNC: the file that `litexcnc build_firmware` reads"
-            .to_owned(),
+        remedy:
+            "expected a configuration of LiteX-CNC: the file that `litexcnc build_firmware` reads"
+                .to_owned(),
     })
 }
 
