@@ -101,8 +101,8 @@ impl App {
     /// The loop.
     pub fn run(mut self) -> ! {
         loop {
-            // Services that want their turn, or are still loaded, get it at once if there is no owner
-            // to wait for.
+            // Services that want their turn, or are still loaded, get it at once if there is no
+            // owner to wait for.
             let busy = self.restless || self.coming.is_some();
             let polls = match busy && self.owner.is_none() {
                 true => 1,
