@@ -1,7 +1,6 @@
 //! The HAL names of a channel, and the limits of their length.
 
-/// The longest name the driver gives anything (`ferrocnc::hal::NAME_MAX`; HAL itself stops at 47).
-pub const NAME_MAX: usize = 41;
+use wire::board::HAL_NAME_MAX;
 
 /// What the pins of a channel class are called: `ferrocnc.<board>.<class>.<name>.<pin>`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,7 +45,7 @@ impl HalClass {
 
     /// How long a name may be.
     pub const fn room(self) -> usize {
-        NAME_MAX - "ferrocnc.0...".len() - self.class.len() - self.longest.len()
+        HAL_NAME_MAX - "ferrocnc.0...".len() - self.class.len() - self.longest.len()
     }
 }
 

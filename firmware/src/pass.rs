@@ -20,7 +20,7 @@ use crate::net::{self, Datagram, HEADERS, PAYLOAD_WORD, Slot, Us};
 use wire::exchange::{
     COMMAND_STEPGEN, FLAG_APPLY_TIME, REQUEST_OVERHEAD, STATUS_ENCODER, STATUS_STEPGEN, status_word,
 };
-use wire::regmap::{command, fast_path, status, timebase};
+use wire::regmap::{command, fast_path, ident, status, timebase};
 
 /// Runs that say where words of the frame go.
 const FRAME_RUNS: usize = 4;
@@ -33,8 +33,8 @@ pub const SEQUENCE_PLACE: usize = 14;
 /// ... and the flags.
 pub const FLAGS_PLACE: usize = 15;
 
-/// Lowest page that a run can name.
-const FIRST_PAGE: u32 = 8;
+/// Lowest page that a run can name: the first of our own cores.
+const FIRST_PAGE: u32 = ident::PAGE;
 /// Bits of a register's number on its page.
 const PAGE_BITS: u32 = 7;
 /// Clocks between the sample and the first word of it that is right everywhere, less those that

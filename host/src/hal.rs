@@ -17,10 +17,7 @@ use core::ffi::{CStr, c_void};
 use core::marker::PhantomData;
 use core::ptr::NonNull;
 use std::ffi::CString;
-
-/// The longest name we give anything: HAL_NAME_LEN (47) less the `.tmax-increased` and similar
-/// suffixes HAL itself appends to functions, and what LinuxCNC's manual promises.
-pub const NAME_MAX: usize = 41;
+use wire::board::HAL_NAME_MAX;
 
 /// Types of values, with HAL's codes (`hal_type_t`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -352,7 +349,7 @@ impl<'b> Exporter<'b> {
             prefix: prefix.into(),
             short: None,
             logical: String::new(),
-            limit: NAME_MAX,
+            limit: HAL_NAME_MAX,
         }
     }
 

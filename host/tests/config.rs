@@ -228,7 +228,6 @@ fn a_platform_can_be_drawn_with_nothing_on_it() {
 
 #[test]
 fn the_reader_and_the_driver_agree_how_long_a_name_may_be() {
-    assert_eq!(ferrocnc_config::hal::NAME_MAX, ferrocnc::hal::NAME_MAX);
     let pins =
         std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/driver/export.rs"))
             .unwrap();
@@ -240,7 +239,7 @@ fn the_reader_and_the_driver_agree_how_long_a_name_may_be() {
             class.key()
         );
         let name = "n".repeat(hal.room());
-        assert_eq!(hal.pin(&name).len(), ferrocnc::hal::NAME_MAX);
+        assert_eq!(hal.pin(&name).len(), wire::board::HAL_NAME_MAX);
     }
 }
 

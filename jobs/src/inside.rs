@@ -4,24 +4,33 @@
 use crate::Outside;
 use motion::segment::AXES;
 use wire::describe::{self, Channels, Describe};
-use wire::etherbone::record;
+use wire::etherbone::{OVERHEAD, Request};
 use wire::exchange::{
     COMMAND_MAX, Command, REQUEST_OVERHEAD, STATUS_HEAD, STATUS_MAX, STATUS_STEPGEN, StateWord,
-    Status,
+    Status, status_word,
 };
 use wire::jobs::MachineConfig;
 use wire::refusal::COUNTERS_CUTS;
 use wire::units::{Accel, Velocity};
-use wire::{Refusal, etherbone, map};
+use wire::{Refusal, map};
 
 /// 100 ms: the executor exchanges every 5 ms, and a loop that takes longer hangs.
 const WATCHDOG_PER_SECOND: u32 = 10;
 /// Largest number of settings in one write.
 const SETTINGS: usize = 6;
-/// Words of an answer with one word, and some to spare.
-const ANSWER: usize = 8;
 /// Step generators of a job.
 const STEPGENS: u16 = (1 << AXES) - 1;
+
+/// Gives a request to the board's own server: the words that it reads. `None`: it was refused, or
+/// does not fit.
+pub fn ask<const N: usize>(
+    request: Request<'_>,
+    reply: &mut [u32],
+    out: &mut impl Outside,
+) -> Option<[u32; N]> {
+    let length = out.ask(request.words()?, reply);
+    reply.get(..length)?.get(OVERHEAD..)?.first_chunk().copied()
+}
 
 /// The client.
 #[derive(Debug)]
@@ -43,7 +52,7 @@ pub struct Look {
     pub positions: [i64; AXES],
 }
 
-/// Rate and acceleration of each axis, for motion without segments.
+/// Velocity and acceleration of each axis, for motion without segments.
 pub type Velocities = [(Velocity, Accel); AXES];
 
 /// No velocities.
@@ -52,16 +61,11 @@ pub const REST: Velocities = [(Velocity(0), Accel(0)); AXES];
 impl Inside {
     /// Asks the board for its description.
     pub fn new(out: &mut impl Outside) -> Option<(Inside, Describe)> {
-        let mut reply = [0; 4 + describe::WORDS];
-        let mut request = [0; 4 + describe::WORDS];
-        let (head, addresses) = request.split_at_mut(4);
-        head.copy_from_slice(&[etherbone::HEADER, 0, record(0, describe::WORDS), 0]);
-        for (word, address) in addresses.iter_mut().zip((map::DESCRIBE..).step_by(4)) {
-            *word = address;
-        }
-        let length = out.ask(&request, &mut reply);
-        let words = reply.get(4..length)?.first_chunk()?;
-        let board = Describe::parse(words).ok()?;
+        const WORDS: usize = describe::WORDS;
+        let (mut request, mut reply) = ([0; OVERHEAD + WORDS], [0; OVERHEAD + WORDS]);
+        let addresses: [u32; WORDS] = core::array::from_fn(describe::address);
+        let request = Request::new(&mut request).read(0, &addresses);
+        let board = Describe::parse(&ask(request, &mut reply, out)?).ok()?;
         let inside = Inside {
             channels: board.channels,
             clock_hz: board.clock_hz,
@@ -73,10 +77,10 @@ impl Inside {
 
     /// Reads one word; `None` if it was refused.
     fn read(&self, address: u32, out: &mut impl Outside) -> Option<u32> {
-        let mut reply = [0; ANSWER];
-        let request = [etherbone::HEADER, 0, record(0, 1), 0, address];
-        let length = out.ask(&request, &mut reply);
-        reply.get(..length)?.get(4).copied()
+        let (mut request, mut reply) = ([0; OVERHEAD + 1], [0; OVERHEAD + 1]);
+        let request = Request::new(&mut request).read(0, &[address]);
+        let [word] = ask(request, &mut reply, out)?;
+        Some(word)
     }
 
     /// The board's state; it needs no session.
@@ -93,21 +97,16 @@ impl Inside {
     /// What a client sees that owns nothing, in one datagram.
     pub fn look(&self, out: &mut impl Outside) -> Option<Look> {
         const WORDS: usize = 2 + 2 * AXES;
-        let mut reply = [0; 4 + WORDS];
-        let mut request = [0; 4 + WORDS];
-        let (head, addresses) = request.split_at_mut(4);
-        head.copy_from_slice(&[etherbone::HEADER, 0, record(0, WORDS), 0]);
-        for (n, address) in addresses.iter_mut().enumerate() {
-            let word = |word: usize| map::STATUS + 4 * word as u32;
-            *address = match n.checked_sub(2) {
-                None if n == 0 => word(0),
-                None => COUNTERS_CUTS,
-                Some(n) => word(STATUS_HEAD + n / 2 * STATUS_STEPGEN + n % 2),
-            };
-        }
-        let length = out.ask(&request, &mut reply);
-        let words: &[u32; WORDS] = reply.get(..length)?.get(4..)?.first_chunk()?;
-        let [state, cuts, positions @ ..] = words;
+        let (mut request, mut reply) = ([0; OVERHEAD + WORDS], [0; OVERHEAD + WORDS]);
+        let word = |word: usize| map::STATUS + 4 * word as u32;
+        let addresses: [u32; WORDS] = core::array::from_fn(|n| match n.checked_sub(2) {
+            None if n == 0 => word(status_word::STATE),
+            None => COUNTERS_CUTS,
+            Some(n) => word(STATUS_HEAD + n / 2 * STATUS_STEPGEN + n % 2),
+        });
+        let request = Request::new(&mut request).read(0, &addresses);
+        let words: [u32; WORDS] = ask(request, &mut reply, out)?;
+        let [state, cuts, positions @ ..] = &words;
         let mut places = [0; AXES];
         for (place, [low, high]) in places.iter_mut().zip(positions.as_chunks().0) {
             *place = (u64::from(*high) << 32 | u64::from(*low)) as i64;
@@ -123,23 +122,8 @@ impl Inside {
     #[must_use]
     pub fn acquire(&mut self, out: &mut impl Outside) -> bool {
         let nonce = (out.now() as u32) | 1;
-        let mut reply = [0; ANSWER];
-        let request = [
-            etherbone::HEADER,
-            0,
-            record(1, 1),
-            map::SESSION_ACQUIRE,
-            nonce,
-            0,
-            map::SESSION_TOKEN,
-        ];
-        let length = out.ask(&request, &mut reply);
         self.sequence = 0;
-        self.token = reply
-            .get(..length)
-            .and_then(|reply| reply.get(4))
-            .copied()
-            .unwrap_or(0);
+        self.token = token(Request::new(&mut [0; OVERHEAD + 3]), nonce, out);
         self.token != 0
     }
 
@@ -147,29 +131,9 @@ impl Inside {
     /// it.
     #[must_use]
     pub fn prove(&mut self, nonce: u32, answer: [u32; 4], out: &mut impl Outside) -> bool {
-        let mut reply = [0; ANSWER];
-        let [a, b, c, d] = answer;
-        let request = [
-            etherbone::HEADER,
-            0,
-            record(4, 0),
-            map::SESSION_RESPONSE,
-            a,
-            b,
-            c,
-            d,
-            record(1, 1),
-            map::SESSION_ACQUIRE,
-            nonce,
-            0,
-            map::SESSION_TOKEN,
-        ];
-        let length = out.ask(&request, &mut reply);
-        self.token = reply
-            .get(..length)
-            .and_then(|reply| reply.get(4))
-            .copied()
-            .unwrap_or(0);
+        let mut words = [0; OVERHEAD + 4 + 5];
+        let request = Request::new(&mut words).write(map::SESSION_RESPONSE, &answer);
+        self.token = token(request, nonce, out);
         let proven = self.token != 0;
         self.release(out);
         proven
@@ -194,14 +158,10 @@ impl Inside {
     pub fn release(&mut self, out: &mut impl Outside) {
         let token = core::mem::take(&mut self.token);
         if token != 0 {
-            let request = [
-                etherbone::HEADER,
-                0,
-                record(1, 0),
-                map::SESSION_RELEASE,
-                token,
-            ];
-            out.ask(&request, &mut []);
+            let mut words = [0; OVERHEAD + 1];
+            let request = Request::new(&mut words).write(map::SESSION_RELEASE, &[token]);
+            // It has no answer.
+            let _: Option<[u32; 0]> = ask(request, &mut [], out);
         }
     }
 
@@ -273,21 +233,19 @@ impl Inside {
     }
 }
 
+/// Acquires the session with what is in the request already: its token, 0 if another client has it.
+fn token(request: Request<'_>, nonce: u32, out: &mut impl Outside) -> u32 {
+    let reads = [map::SESSION_TOKEN];
+    let request = request.write_then_read(map::SESSION_ACQUIRE, &[nonce], 0, &reads);
+    let token = ask(request, &mut [0; OVERHEAD + 1], out);
+    token.map_or(0, |[token]| token)
+}
+
 /// Writes adjacent settings, and reads them back. False: the board does not have them.
 fn set<const N: usize>(base: u32, words: [u32; N], out: &mut impl Outside) -> bool {
-    // Header and padding; the record's header, its base, its words; the answer's base, the
-    // addresses.
-    let mut request = [0; 5 + 2 * SETTINGS];
-    let mut reply = [0; 4 + SETTINGS];
-    let addresses = (base..).step_by(4).take(N);
-    let head = [etherbone::HEADER, 0, record(N, N), base];
-    let all = head.into_iter().chain(words).chain([0]).chain(addresses);
-    let mut length = 0;
-    for (place, word) in request.iter_mut().zip(all) {
-        *place = word;
-        length += 1;
-    }
-    let answered = out.ask(request.get(..length).unwrap_or(&[]), &mut reply);
-    let there = reply.get(..answered).and_then(|reply| reply.get(4..));
-    there == Some(&words[..])
+    // The record's words, the answer's base, and the addresses.
+    let mut request = [0; OVERHEAD + SETTINGS + 1 + SETTINGS];
+    let addresses: [u32; N] = core::array::from_fn(|n| base + 4 * n as u32);
+    let request = Request::new(&mut request).write_then_read(base, &words, 0, &addresses);
+    ask(request, &mut [0; OVERHEAD + SETTINGS], out) == Some(words)
 }

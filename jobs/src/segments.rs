@@ -1,15 +1,12 @@
 //! The segments core's registers, as operations. docs/cores/segments.md describes them.
 
 use crate::Outside;
-use motion::segment::{AXES, Segment};
+use motion::segment::{AXES, PACE_ONE, Segment};
 use wire::regmap::segments::{
     BEAM, BEGUN, CONTROL, CONTROL_COMMAND_CLEAR, CONTROL_COMMAND_QUIT, CONTROL_COMMAND_START,
     CURRENT, LEFT, MASK, PACE, PUSH, SHAPE, SLEW, STATUS, STATUS_LEVEL, STATUS_REASON,
     STATUS_REASON_SHIFT, STATUS_STANDS, STATUS_STATE, STATUS_STATE_IDLE,
 };
-
-/// [`PACE`] of 1.
-const PACE_ONE: u32 = 1 << 16;
 
 /// The core's status word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

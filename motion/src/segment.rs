@@ -25,6 +25,8 @@ pub use wire::jobs::AXES;
 
 /// Words of a segment at the core's window.
 pub const WORDS: usize = 2 + 2 * AXES;
+/// The pace at which a clock of the path takes one clock: `segments.pace` counts in 1/65536.
+pub const PACE_ONE: u32 = 1 << 16;
 
 /// Its duration, the velocities at its end, and its outputs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

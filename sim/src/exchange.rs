@@ -4,64 +4,59 @@ use std::collections::HashMap;
 
 use crate::gmii::Sent;
 use crate::segment::Endpoint;
-use wire::exchange::StateWord;
+use wire::etherbone::{FLAG_PROBE, HEADER_WORDS, MAGIC, OVERHEAD, counts};
+use wire::exchange::{StateWord, command_word, status_word};
 
-/// Bytes of an Etherbone packet header.
-const PACKET_HEADER: usize = 8;
-/// Where a first record's base write address stands.
-const BASE: usize = PACKET_HEADER + 4;
-/// Where the first written word stands.
-const WORDS: usize = BASE + 4;
+/// Where a first record's base write address stands, in words.
+const BASE_AT: usize = OVERHEAD - 1;
 
-fn be32(bytes: &[u8], at: usize) -> Option<u32> {
-    bytes
-        .get(at..at + 4)
-        .map(|b| u32::from_be_bytes([b[0], b[1], b[2], b[3]]))
+/// A word of a datagram, which need not have whole words.
+fn word(payload: &[u8], at: usize) -> Option<u32> {
+    let (words, _) = payload.as_chunks();
+    words.get(at).copied().map(u32::from_be_bytes)
+}
+
+/// A word of what a first record writes.
+fn written(payload: &[u8], at: usize) -> Option<u32> {
+    word(payload, OVERHEAD + at)
+}
+
+fn is_etherbone(payload: &[u8]) -> bool {
+    word(payload, 0).is_some_and(|header| header >> 16 == MAGIC)
 }
 
 fn is_write(payload: &[u8]) -> bool {
-    payload.starts_with(&[0x4e, 0x6f])
-        && payload
-            .get(PACKET_HEADER + 2)
-            .is_some_and(|wcount| *wcount != 0)
+    is_etherbone(payload) && word(payload, HEADER_WORDS).is_some_and(|record| counts(record).0 != 0)
 }
 
 /// The datagram reads, and writes nothing.
 pub fn is_read(payload: &[u8]) -> bool {
-    payload.starts_with(&[0x4e, 0x6f]) && !is_write(payload) && wants_reply(payload)
+    is_etherbone(payload) && !is_write(payload) && wants_reply(payload)
 }
 
 /// The datagram carries a command block (well-formed or not): an Etherbone write based at the
 /// COMMAND window.
 pub fn is_request(payload: &[u8]) -> bool {
-    is_write(payload) && be32(payload, BASE) == Some(wire::map::COMMAND)
+    is_write(payload) && word(payload, BASE_AT) == Some(wire::map::COMMAND)
 }
 
 /// Sequence number of a command block.
 pub fn sequence(payload: &[u8]) -> Option<u32> {
     is_request(payload)
-        .then(|| be32(payload, WORDS + 4))
+        .then(|| written(payload, command_word::SEQUENCE))
         .flatten()
 }
 
 /// The datagram asks for something that a board answers: reads, a probe or an exchange.
 pub fn wants_reply(payload: &[u8]) -> bool {
-    let probe = payload.get(2).is_some_and(|flags| flags & 1 != 0);
-    let mut records = payload.get(PACKET_HEADER..).unwrap_or_default();
-    let mut reads = false;
-    while let [_, _, wcount, rcount, rest @ ..] = records {
-        reads |= *rcount != 0;
+    let probe = word(payload, 0).is_some_and(|header| header & FLAG_PROBE != 0);
+    let (mut at, mut reads) = (HEADER_WORDS, false);
+    while let Some(record) = word(payload, at) {
+        let (writes, read) = counts(record);
+        reads |= read != 0;
         // Each half that is there has a base address before its words.
-        let words = |count: u8| {
-            if count == 0 {
-                0
-            } else {
-                4 + 4 * usize::from(count)
-            }
-        };
-        records = rest
-            .get(words(*wcount) + words(*rcount)..)
-            .unwrap_or_default();
+        let words = |count: usize| if count == 0 { 0 } else { 1 + count };
+        at += 1 + words(writes) + words(read);
     }
     is_request(payload) || probe || reads
 }
@@ -81,13 +76,13 @@ impl StatusHead {
     /// Of a reply to the exchange numbered `sequence`.
     pub fn parse(payload: &[u8], sequence: u32) -> Option<Self> {
         (is_write(payload)
-            && be32(payload, BASE) == Some(sequence)
-            && be32(payload, WORDS + 4) == Some(sequence))
+            && word(payload, BASE_AT) == Some(sequence)
+            && written(payload, status_word::SEQUENCE) == Some(sequence))
         .then_some(())?;
         Some(StatusHead {
             sequence,
-            state: be32(payload, WORDS)?,
-            watchdog_left: be32(payload, WORDS + 6 * 4)?,
+            state: written(payload, status_word::STATE)?,
+            watchdog_left: written(payload, status_word::WATCHDOG_LEFT)?,
         })
     }
 

@@ -33,6 +33,11 @@ pub const LIST: u8 = 9;
 /// Bytes before the first entry.
 pub const HEADER_LEN: usize = 16;
 
+/// Longest name of a pin or parameter in HAL, which a channel's name is a part of: HAL_NAME_LEN
+/// (47) less the `.tmax-increased` and similar suffixes HAL itself appends to functions, and what
+/// LinuxCNC's manual promises.
+pub const HAL_NAME_MAX: usize = 41;
+
 /// What an entry describes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {

@@ -25,6 +25,12 @@ pub const WORDS: usize = 18;
 pub const WIRE_VERSION_AT: usize = 1;
 /// Where the firmware's register map is, in words.
 pub const ABI_FIRMWARE_AT: usize = 2;
+/// Where the gateware's register map is, in words.
+pub const ABI_GATEWARE_AT: usize = 3;
+/// Where the firmware's version is, in words.
+pub const FIRMWARE_VERSION_AT: usize = 4;
+/// Where the gateware's version is, in words.
+pub const GATEWARE_VERSION_AT: usize = 5;
 /// Where the clock is, in words.
 pub const CLOCK_HZ_AT: usize = 6;
 /// Where the first of the two words with the channels is, in words.
@@ -33,6 +39,12 @@ pub const CHANNELS_AT: usize = 7;
 pub const FEATURES_AT: usize = 9;
 /// Where the boot id is, in words.
 pub const BOOT_ID_AT: usize = 10;
+/// Where the length of a command block is, in words.
+pub const COMMAND_WORDS_AT: usize = 11;
+/// Where the length of a status block is, in words.
+pub const STATUS_WORDS_AT: usize = 12;
+/// Where the length of the board blob is, in words.
+pub const BLOB_WORDS_AT: usize = 13;
 /// Where the state is, in words.
 pub const STATE_AT: usize = 14;
 /// Where the obstacles are, in words.
@@ -179,23 +191,23 @@ impl Describe {
             ResetReason::from_code(words[RESET_REASON_AT] as u8).ok_or(DescribeError::Malformed)?;
         let gate_close =
             GateClose::from_code(words[GATE_CLOSE_AT] as u8).ok_or(DescribeError::Malformed)?;
-        let lengths_agree = words[11] as usize == exchange::command_words(channels)
-            && words[12] as usize == exchange::status_words(channels);
-        let blob_fits = words[13] <= (crate::map::DESCRIBE_LEN / 4) - BLOB_AT as u32;
+        let lengths_agree = words[COMMAND_WORDS_AT] as usize == exchange::command_words(channels)
+            && words[STATUS_WORDS_AT] as usize == exchange::status_words(channels);
+        let blob_fits = words[BLOB_WORDS_AT] <= (crate::map::DESCRIBE_LEN / 4) - BLOB_AT as u32;
         if !lengths_agree || !blob_fits || words[CLOCK_HZ_AT] == 0 {
             return Err(DescribeError::Malformed);
         }
         Ok(Describe {
             wire_version: words[WIRE_VERSION_AT],
             abi_firmware: words[ABI_FIRMWARE_AT],
-            abi_gateware: words[3],
-            firmware_version: words[4],
-            gateware_version: words[5],
+            abi_gateware: words[ABI_GATEWARE_AT],
+            firmware_version: words[FIRMWARE_VERSION_AT],
+            gateware_version: words[GATEWARE_VERSION_AT],
             clock_hz: words[CLOCK_HZ_AT],
             channels,
             features: words[FEATURES_AT],
             boot_id: words[BOOT_ID_AT],
-            blob_words: words[13],
+            blob_words: words[BLOB_WORDS_AT],
             state,
             obstacles: words[OBSTACLES_AT],
             reset_reason,

@@ -29,6 +29,9 @@ pub const HEADER_PROBE_REPLY: u32 = 0x4e6f_1244;
 
 /// Words before the first record.
 pub const HEADER_WORDS: usize = 2;
+/// Words of a packet of one record before what the record writes or reads, and so of an answer
+/// before the words that were read: header, padding, record header, base address.
+pub const OVERHEAD: usize = HEADER_WORDS + 2;
 /// The only valid byte enable, at its place in a record header.
 pub const BYTE_ENABLE: u32 = 0x000f_0000;
 
@@ -37,8 +40,15 @@ pub const fn record(writes: usize, reads: usize) -> u32 {
     BYTE_ENABLE | (writes as u32) << 8 | reads as u32
 }
 
-const MAGIC: u32 = 0x4e6f;
-const FLAG_PROBE: u32 = 1 << 8;
+/// How many words a record with this header writes and reads.
+pub const fn counts(header: u32) -> (usize, usize) {
+    ((header >> 8 & 0xff) as usize, (header & 0xff) as usize)
+}
+
+/// Upper half of a packet's first word.
+pub const MAGIC: u32 = 0x4e6f;
+/// Bit of a packet's first word: a probe.
+pub const FLAG_PROBE: u32 = 1 << 8;
 const FLAG_PROBE_REPLY: u32 = 1 << 9;
 const FLAG_NO_READS: u32 = 1 << 10;
 /// Record flags that ask for anything but plain memory: rca, rff, reserved, wca, wff, reserved.
@@ -171,8 +181,7 @@ impl<'w> Iterator for Records<'w> {
 
 fn split_record(words: &[u32]) -> Result<(Record<'_>, &[u32]), Refusal> {
     let (&header, rest) = words.split_first().ok_or(Refusal::Truncated)?;
-    let write_count = (header >> 8 & 0xff) as usize;
-    let read_count = (header & 0xff) as usize;
+    let (write_count, read_count) = counts(header);
     if write_count == 0 && read_count == 0 {
         return Err(Refusal::Padded);
     }
@@ -310,6 +319,23 @@ impl<'b> Request<'b> {
         self
     }
 
+    /// Writes these words, then reads these addresses, in one record; the answer is that of
+    /// [`Request::read`].
+    #[must_use]
+    pub fn write_then_read(mut self, base: u32, words: &[u32], tag: u32, reads: &[u32]) -> Self {
+        if words.is_empty() || reads.is_empty() {
+            self.whole = false;
+            return self;
+        }
+        self.whole &= u8::try_from(words.len().max(reads.len())).is_ok()
+            && self.packet.push(record(words.len(), reads.len()))
+            && self.packet.push(base)
+            && self.packet.extend(words)
+            && self.packet.push(tag)
+            && self.packet.extend(reads);
+        self
+    }
+
     /// The packet; `None` if a record did not fit.
     pub fn words(self) -> Option<&'b [u32]> {
         let buffer: &'b [u32] = self.packet.buffer;
@@ -350,6 +376,38 @@ mod tests {
             Request::new(&mut [0; 300]).write(0, &[0; 256]).words(),
             None
         );
+    }
+
+    #[test]
+    fn a_record_that_writes_and_reads_is_whole_or_none() {
+        fn request(buffer: &mut [u32]) -> Option<&[u32]> {
+            let request = Request::new(buffer);
+            request.write_then_read(0x20, &[1, 2], 7, &[0x30]).words()
+        }
+        let mut buffer = [0; 8];
+        let words = request(&mut buffer[..]).unwrap();
+        let packet = Packet::new_checked(words).unwrap();
+        let record = Record {
+            write_base: 0x20,
+            writes: &[1, 2],
+            return_base: 7,
+            reads: &[0x30],
+        };
+        assert_eq!(packet.sole(), Some(record));
+        for room in 0..8 {
+            assert_eq!(request(&mut buffer[..room]), None, "{room} words");
+        }
+        let long = [0; 256];
+        for (writes, reads) in [
+            (&[][..], &[1][..]),
+            (&[1], &[]),
+            (&long, &[1]),
+            (&[1], &long),
+        ] {
+            let mut buffer = [0; 600];
+            let request = Request::new(&mut buffer).write_then_read(0, writes, 0, reads);
+            assert_eq!(request.words(), None);
+        }
     }
 
     fn refused(words: &[u32]) -> Refusal {

@@ -63,7 +63,7 @@ pub const STATUS_MAX: usize = STATUS_HEAD + MAX_CHANNELS * (STATUS_STEPGEN + STA
 const _: () = assert!(COMMAND_MAX <= 255 && STATUS_MAX <= 255);
 
 /// Words of a request before its command block: packet header, record header, base address.
-pub const REQUEST_OVERHEAD: usize = etherbone::HEADER_WORDS + 2;
+pub const REQUEST_OVERHEAD: usize = etherbone::OVERHEAD;
 
 /// Words of a command block before those of the channels, [`COMMAND_HEAD`] of them.
 pub mod command_word {
@@ -214,7 +214,7 @@ pub struct Command {
     pub latch: Latch,
     /// GPIO outputs.
     pub gpio_out: u32,
-    /// Rate target and acceleration limit per stepgen.
+    /// Velocity target and acceleration limit per stepgen.
     pub stepgen: [(Velocity, Accel); MAX_CHANNELS],
     /// PWM words per channel ([`PWM_WIDTH_MASK`], [`PWM_ENABLE`], [`PWM_DIRECTION`]).
     pub pwm: [u32; MAX_CHANNELS],

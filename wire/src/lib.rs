@@ -83,12 +83,12 @@ pub const MAX_PAYLOAD: usize = 1472;
 /// The same in 32-bit words.
 pub const MAX_WORDS: usize = MAX_PAYLOAD / 4;
 
-/// Longest datagram of a client that does not own an armed machine, in 32-bit words:
+/// Longest datagram of a guest, a client that does not own an armed machine, in 32-bit words:
 /// [`GUEST_READS`] in one record. A word takes about 250 of the board's clocks, and the owner's
 /// next exchange may have to wait for all of them.
-pub const GUEST_WORDS: usize = GUEST_READS + 4;
+pub const GUEST_WORDS: usize = GUEST_READS + etherbone::OVERHEAD;
 
-/// Words that another client can read at once while the machine is armed.
+/// Words that a guest can read at once while the machine is armed.
 pub const GUEST_READS: usize = 16;
 
 /// Converts a UDP payload into words. An empty, ragged (not whole words) or oversized payload is

@@ -196,7 +196,7 @@ fn own_name<'a>(at: &At<'a>, class: Class) -> Result<&'a str, Error> {
             &shown,
             format!(
                 "is too long: HAL has {} characters and {pin} is {}",
-                hal::NAME_MAX,
+                wire::board::HAL_NAME_MAX,
                 pin.len()
             ),
             format!("use up to {} characters for a {}", hal.room(), class.key()),

@@ -1,7 +1,7 @@
 //! What the services ask the board about itself when they start, and while the machine rests.
 
-use ::jobs::Outside;
-use wire::etherbone::{HEADER, record};
+use ::jobs::{Outside, inside};
+use wire::etherbone::{OVERHEAD, Request};
 use wire::map;
 use wire::settings::{self, Settings};
 
@@ -11,15 +11,13 @@ const READS: usize = settings::WORDS;
 /// Reads `N` words from `address` on, as a client does. `None`: the board refuses, or they are more
 /// than [`READS`].
 pub fn read<const N: usize>(address: u32, out: &mut impl Outside) -> Option<[u32; N]> {
-    let mut request = [0; 4 + READS];
-    let mut reply = [0; 4 + READS];
-    let (head, addresses) = request.get_mut(..4 + N)?.split_at_mut(4);
-    head.copy_from_slice(&[HEADER, 0, record(0, N), 0]);
-    for (place, address) in addresses.iter_mut().zip((address..).step_by(4)) {
-        *place = address;
-    }
-    let length = out.ask(request.get(..4 + N)?, &mut reply);
-    reply.get(..length)?.get(4..)?.first_chunk().copied()
+    let (mut request, mut reply) = ([0; OVERHEAD + READS], [0; OVERHEAD + READS]);
+    let addresses: [u32; N] = core::array::from_fn(|n| address + 4 * n as u32);
+    inside::ask(
+        Request::new(&mut request).read(0, &addresses),
+        &mut reply,
+        out,
+    )
 }
 
 /// The settings in force, without the key. `None`: the board does not say them now.

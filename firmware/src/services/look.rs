@@ -3,21 +3,21 @@
 //! A call asks for sixteen words at most, as a guest of an armed machine may.
 
 use heapless::String;
-use jobs::Outside;
+use jobs::{Outside, inside};
 use wire::board::{Blob, HEADER_LEN, Kind};
 use wire::describe::{self, Channels, WORDS};
-use wire::etherbone::{self, record};
+use wire::etherbone::{OVERHEAD, Request};
+use wire::regmap::{ENCODER_MAX, IN_MAX, OUT_MAX, STEPGEN_MAX};
 use wire::{GUEST_READS, map};
 
 /// Reads words at these addresses. `None`: the board refused, or `N` is more than a guest may ask.
 pub fn ask<const N: usize>(addresses: [u32; N], out: &mut impl Outside) -> Option<[u32; N]> {
-    let mut request = [0; 4 + GUEST_READS];
-    let mut reply = [0; 4 + GUEST_READS];
-    let (head, places) = request.split_first_chunk_mut()?;
-    *head = [etherbone::HEADER, 0, record(0, N), 0];
-    places.get_mut(..N)?.copy_from_slice(&addresses);
-    let length = out.ask(request.get(..4 + N)?, &mut reply);
-    reply.get(..length)?.get(4..)?.first_chunk().copied()
+    let (mut request, mut reply) = ([0; OVERHEAD + GUEST_READS], [0; OVERHEAD + GUEST_READS]);
+    inside::ask(
+        Request::new(&mut request).read(0, &addresses),
+        &mut reply,
+        out,
+    )
 }
 
 /// Words of the board information that are kept: the whole ROM.
@@ -43,10 +43,10 @@ pub struct Facts {
     pub board: ChannelName,
     /// The configuration.
     pub configuration: ChannelName,
-    stepgens: [ChannelName; 16],
-    encoders: [ChannelName; 16],
-    inputs: [ChannelName; 32],
-    outputs: [ChannelName; 32],
+    stepgens: [ChannelName; STEPGEN_MAX],
+    encoders: [ChannelName; ENCODER_MAX],
+    inputs: [ChannelName; IN_MAX],
+    outputs: [ChannelName; OUT_MAX],
     blob: [u8; 4 * BLOB_WORDS],
     stage: Stage,
 }
@@ -86,10 +86,10 @@ impl Facts {
             uid: [0; 2],
             board: String::new(),
             configuration: String::new(),
-            stepgens: [const { String::new() }; 16],
-            encoders: [const { String::new() }; 16],
-            inputs: [const { String::new() }; 32],
-            outputs: [const { String::new() }; 32],
+            stepgens: [const { String::new() }; STEPGEN_MAX],
+            encoders: [const { String::new() }; ENCODER_MAX],
+            inputs: [const { String::new() }; IN_MAX],
+            outputs: [const { String::new() }; OUT_MAX],
             blob: [0; 4 * BLOB_WORDS],
             stage: Stage::Describe(0),
         }
@@ -179,7 +179,8 @@ impl Facts {
             *place = word.to_be_bytes();
         }
         let have = have + PIECE;
-        let all = self.words.get(13).map_or(0, |words| *words as usize);
+        let all = self.words.get(describe::BLOB_WORDS_AT);
+        let all = all.map_or(0, |words| *words as usize);
         self.stage = match have >= all.min(BLOB_WORDS) {
             true => Stage::Names,
             false => Stage::Blob(have),

@@ -9,12 +9,9 @@ use host::link::Link;
 use host::names::{self, Scheme};
 use std::collections::BTreeSet;
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
-use wire::board::{Blob, HEADER_LEN, Kind};
-use wire::describe::{Channels, Describe, WORDS};
+use wire::board::{Blob, HAL_NAME_MAX, HEADER_LEN, Kind};
+use wire::describe::{self, Channels, Describe, WORDS};
 use wire::exchange::{command_words, status_words};
-
-/// HAL's own limit.
-const NAME_MAX: usize = 41;
 
 /// The words of a description, and the names after them.
 pub fn describe(data: &[u8]) {
@@ -64,12 +61,12 @@ fn fitting(words: &mut [u32; WORDS]) {
         outputs: most(o, 32),
     };
     [words[7], words[8]] = channels.to_words();
-    words[11] = command_words(channels) as u32;
-    words[12] = status_words(channels) as u32;
-    words[13] %= 512;
-    words[14] &= 0xffff_0103;
-    words[16] %= 4;
-    words[17] %= 4;
+    words[describe::COMMAND_WORDS_AT] = command_words(channels) as u32;
+    words[describe::STATUS_WORDS_AT] = status_words(channels) as u32;
+    words[describe::BLOB_WORDS_AT] %= 512;
+    words[describe::STATE_AT] &= 0xffff_0103;
+    words[describe::RESET_REASON_AT] %= 4;
+    words[describe::GATE_CLOSE_AT] %= 4;
 }
 
 /// Adds a header that fits the bytes after it.
@@ -135,7 +132,7 @@ fn load(identity: &Identity, scheme: u8) {
     let mut seen = BTreeSet::new();
     let all = hal.list().chain(hal.aliases());
     for (name, _, _) in all {
-        assert!(name.len() <= NAME_MAX, "{name} is too long for HAL");
+        assert!(name.len() <= HAL_NAME_MAX, "{name} is too long for HAL");
         assert!(
             name.bytes().all(|b| b.is_ascii_graphic()),
             "{name:?} is not a valid name in HAL"

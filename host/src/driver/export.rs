@@ -125,7 +125,8 @@ impl Blocks {
         let channels = describe.channels;
         let blob = identity.blob();
         let names = |kind, class: &str, longest: &str, count: u8| {
-            let room = crate::hal::NAME_MAX - format!("ferrocnc.{index}.{class}..{longest}").len();
+            let room =
+                wire::board::HAL_NAME_MAX - format!("ferrocnc.{index}.{class}..{longest}").len();
             channel_names((0..count).map(|n| blob.text(kind, n)), room)
         };
         let packets = Packets::export(hal)?;

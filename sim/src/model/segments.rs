@@ -2,14 +2,13 @@
 //! a pulse waits in that clock, so they are computed in two steps: [`Segments::tells`] before the
 //! stepgens' edge, [`Segments::clock`] with it.
 
+use motion::segment::PACE_ONE;
 use wire::regmap::{self, segments};
 
 /// Room for so many segments.
 pub const DEPTH: usize = regmap::JOB_SEGMENTS;
 /// The shortest segment.
 pub const CLOCKS_MIN: u32 = 64;
-/// A pace of 1.
-pub const PACE_ONE: u32 = 1 << 16;
 
 /// What it does.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -6,10 +6,11 @@ use crate::text::Out;
 use ::jobs::Outside;
 use wire::exchange::{EDGE_TIME_BITS, STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN};
 use wire::map::{self, StepgenConfig};
-use wire::regmap::{self, CSR_PAGE, status};
+use wire::regmap::{self, CSR_PAGE, ident, status};
 
-/// The pages of our own cores that `regs` shows, and the words of each that it shows of one.
-const PAGES: core::ops::Range<u32> = 8..16;
+/// The pages of our own cores that `regs` shows: those there are once, and in front of the pages of
+/// the channels. Then the words of each that it shows of one.
+const PAGES: core::ops::Range<u32> = ident::PAGE..status::PAGE + 1;
 const LINE: u32 = 8;
 const LINES: u16 = 4;
 

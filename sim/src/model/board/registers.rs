@@ -3,6 +3,7 @@
 use super::{Board, CHANNELS, pages};
 use crate::model::segments::{self, State, Told};
 use crate::model::stepgen;
+use motion::segment::PACE_ONE;
 use wire::exchange::PWM_PERIOD_MAX;
 use wire::map::{DIR_CLOCKS_MAX, PROBE_ENABLE, PROBE_INPUT_MASK, PROBE_INVERT, STEP_CLOCKS_MAX};
 use wire::regmap::{self, command, status};
@@ -116,9 +117,9 @@ impl Regs {
             stepgen: Default::default(),
             encoder: [[0; 2]; CHANNELS],
             pwm_set: [[0; 2]; CHANNELS],
-            debounce: [0; 32],
+            debounce: [0; regmap::IN_MAX],
             jobs,
-            pace: segments::PACE_ONE,
+            pace: PACE_ONE,
             slew: 0,
             beam: 0,
             mask: 0,
