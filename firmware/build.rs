@@ -1,7 +1,10 @@
-//! Link arguments of the image. The memory map is the repository's generated `memory.x`.
+//! Link arguments of the image. The memory map is the repository's generated `memory.x`; that of
+//! the services is written here from `wire`.
 
-use std::env;
 use std::path::Path;
+use std::{env, fs};
+use wire::images::{PROGRAM_MAGIC, PROGRAM_MAX};
+use wire::regmap::SDRAM_BASE;
 
 /// Stack budget in bytes; the linker refuses an image that leaves less. Measured use is in the
 /// console's `status`.
@@ -24,8 +27,22 @@ fn main() {
     println!("cargo:rustc-link-arg-bin=ferrocnc-firmware=--defsym=_hart_stack_size={STACK}");
     let services = Path::new(&manifest).join("services.x");
     println!("cargo:rerun-if-changed={}", services.display());
+    let out = env::var("OUT_DIR").unwrap_or_default();
+    let written = fs::write(Path::new(&out).join("services-memory.x"), services_memory());
+    written.expect("cannot write services-memory.x");
+    println!("cargo:rustc-link-search={out}");
     println!(
         "cargo:rustc-link-arg-bin=ferrocnc-services=-T{}",
         services.display()
     );
+}
+
+/// The memory of the services, for `services.x`, and what `program.py` reads of the ELF.
+fn services_memory() -> String {
+    format!(
+        "MEMORY {{ sdram : ORIGIN = {SDRAM_BASE:#x}, LENGTH = {PROGRAM_MAX:#x} }}\n\
+         __services_origin = {SDRAM_BASE:#x};\n\
+         __services_room = {PROGRAM_MAX:#x};\n\
+         __services_magic = {PROGRAM_MAGIC:#x};\n"
+    )
 }

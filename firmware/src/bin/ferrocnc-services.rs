@@ -27,8 +27,6 @@ const SHORTEST: usize = 60;
 const LOG_AT: usize = 0x1000;
 const _: () = assert!((ROOM + LOG_AT + journal::BYTES) < 2 * ROOM && ROOM.is_power_of_two());
 
-const _: () = assert!(SDRAM_BASE == 0x4000_0000 && ROOM == 512 * 1024);
-
 global_asm!(include_str!("saves.s"));
 
 // The ROM's stack pointer is saved here, and the program's own stack is used. The ROM has saved its
