@@ -3,6 +3,7 @@
 # with SDRAM, target/firmware/ferrocnc-services.bin, and prints their sizes.
 #
 #   firmware/build.sh [cargo arguments]
+#   firmware/build.sh clippy    checks them with clippy instead, for the softcore
 #
 # It uses rustup's compiler if the library's sources are installed (rustup component add rust-src);
 # otherwise Debian's rustc-web (apt install rustc-web cargo-web rust-web-src lld). `core` is built
@@ -23,7 +24,11 @@ flags="-Ctarget-feature=+relax,+save-restore -Cllvm-args=-align-all-functions=5"
 flags+=" -Cpasses=deadargelim,function(dse,adce),deadargelim,globaldce"
 flags+=" --remap-path-prefix=$root/="
 for folder in "${CARGO_HOME:-$HOME/.cargo}"/registry/src/*/; do flags+=" --remap-path-prefix=$folder="; done
-common=(build --manifest-path "$root/Cargo.toml" --package ferrocnc-firmware --features soc
+verb=build options=("$@")
+if [ "${1:-}" = clippy ]; then
+    verb=clippy options=(--lib --bins -- -D warnings)
+fi
+common=("$verb" --manifest-path "$root/Cargo.toml" --package ferrocnc-firmware --features soc
     --profile firmware-image --target "$target" --target-dir "$out")
 
 # defmt logs only errors by default; transitions are `info`, and nothing is logged per period.
@@ -35,7 +40,7 @@ export RUSTC_BOOTSTRAP=1
 
 library=$(rustc --print sysroot 2>/dev/null || true)/lib/rustlib/src/rust/library
 if [ -d "$library/core" ]; then
-    RUSTFLAGS="$flags --remap-path-prefix=$library/=" cargo "${common[@]}" "$@"
+    RUSTFLAGS="$flags --remap-path-prefix=$library/=" cargo "${common[@]}" "${options[@]}"
 elif [ -x /usr/bin/cargo ] && [ -d /usr/lib/rustlib/src/rust/library ]; then
     # Debian's lld (14) cannot relax, GNU ld can.
     if command -v riscv64-unknown-elf-ld >/dev/null; then
@@ -43,14 +48,16 @@ elif [ -x /usr/bin/cargo ] && [ -d /usr/lib/rustlib/src/rust/library ]; then
     else
         linker=ld.lld
     fi
-    RUSTC=/usr/bin/rustc CARGO_TARGET_RISCV32IM_UNKNOWN_NONE_ELF_LINKER=$linker \
+    # Of rustup's tools and Debian's, `cargo clippy` takes those in front.
+    PATH=/usr/bin:$PATH RUSTC=/usr/bin/rustc CARGO_TARGET_RISCV32IM_UNKNOWN_NONE_ELF_LINKER=$linker \
         RUSTFLAGS="$flags --remap-path-prefix=/usr/lib/rustlib/src/rust/library/=" \
-        /usr/bin/cargo "${common[@]}" "$@"
+        /usr/bin/cargo "${common[@]}" "${options[@]}"
 else
     echo "firmware: no sources of Rust's core to build for $target: run 'rustup component add rust-src', or" >&2
     echo "  apt install rustc-web cargo-web rust-web-src binutils-riscv64-unknown-elf" >&2
     exit 1
 fi
+[ "$verb" = build ] || exit 0
 
 for name in ferrocnc-firmware ferrocnc-services; do
     built=$out/$target/firmware-image/$name

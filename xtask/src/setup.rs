@@ -44,6 +44,7 @@ const PACKAGES: &[(&str, &str)] = &[
 const RISCV_PACKAGES: &[(&str, &str)] = &[
     ("rustc-web", "a rustc with library sources in Debian"),
     ("cargo-web", "its cargo"),
+    ("rust-web-clippy", "its clippy, for the softcore's programs"),
     ("rust-web-src", "the sources of `core`"),
     (
         "binutils-riscv64-unknown-elf",

@@ -2,6 +2,10 @@
 //! goes on, in SDRAM. Their interface to the ROM is in [`firmware::services::abi`].
 #![no_std]
 #![no_main]
+#![expect(
+    clippy::deref_addrof,
+    reason = "its remedy, a reference to a `static mut`, is an error of the compiler's"
+)]
 
 use core::arch::global_asm;
 use core::mem::MaybeUninit;

@@ -188,7 +188,7 @@ impl App {
             }
             Class::Services => {
                 // Behind a turn the ROM answers the owner's ARP, because the services take longer.
-                let owners = net::is_arp(&frame) && self.from_owner(&frame);
+                let owners = net::is_arp(&frame) && self.is_from_owner(&frame);
                 let length = self.mac.take_bytes();
                 let late = self.behind_a_turn();
                 if late && !owners {
@@ -223,7 +223,7 @@ impl App {
     }
 
     /// Does the frame come from the host that owns the machine?
-    fn from_owner(&self, frame: &RxFrame) -> bool {
+    fn is_from_owner(&self, frame: &RxFrame) -> bool {
         self.owner
             .is_some_and(|(datagram, _)| net::sender(frame) == datagram.mac)
     }
