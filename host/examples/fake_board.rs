@@ -3,7 +3,7 @@
 //! [index COUNTS]`
 #![allow(missing_docs)]
 
-#[path = "../tests/common/mod.rs"]
+#[path = "../tests/common/fake_board.rs"]
 mod common;
 
 use common::{CLOCK_HZ, FakeBoard, Time};

@@ -17,7 +17,7 @@
 //! Where the checks and their limits come from: LinuxCNC's documentation of real time, the manual
 //! page of Mesa's `hm2_eth`, and threads of LinuxCNC's users. A limit of our own says so.
 
-pub mod card;
+pub mod board;
 pub mod cpu;
 pub mod network;
 pub mod platform;

@@ -259,8 +259,12 @@ impl Header {
     fn read(text: &[u8]) -> Result<Header, ImageError> {
         let text = core::str::from_utf8(text).map_err(|_| ImageError::NoBitstream)?;
         let lines = || text.split('\0').map(str::trim_end);
-        let mut marks = lines().filter_map(|line| line.strip_prefix(MARK)?.strip_prefix(' '));
-        let version = marks.next().ok_or(ImageError::Foreign)?.trim().to_owned();
+        let mut versions = lines().filter_map(|line| line.strip_prefix(MARK)?.strip_prefix(' '));
+        let version = versions
+            .next()
+            .ok_or(ImageError::Foreign)?
+            .trim()
+            .to_owned();
         let value = |line: &'static str| -> Result<&str, ImageError> {
             let mut values = lines().filter_map(|text| text.strip_prefix(line)?.strip_prefix(':'));
             let value = values.next().ok_or(ImageError::Missing(line))?.trim();

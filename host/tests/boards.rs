@@ -1,6 +1,7 @@
 //! Four boards on one servo thread: their requests go out together, and a command takes effect at
 //! the same instant on all of them, with any difference between their clocks.
 
+#[path = "common/fake_board.rs"]
 mod common;
 
 use common::rig::{PERIOD_NS, load_with};

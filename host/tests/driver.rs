@@ -1,6 +1,7 @@
 //! The driver against a fake HAL on one side and a fake board behind real UDP on the other: the
 //! behaviour of the machine in normal operation, and with faults of the network or the board.
 
+#[path = "common/fake_board.rs"]
 mod common;
 
 use common::rig::{PERIOD_NS, Rig};

@@ -1,6 +1,7 @@
 //! Random bad networks: with any loss, repetition or delay of datagrams, positions agree in the end
 //! and nothing moves without a command.
 
+#[path = "common/fake_board.rs"]
 mod common;
 
 use common::{CLOCK_HZ, FakeBoard, Time};

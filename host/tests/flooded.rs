@@ -1,6 +1,7 @@
 //! Endless datagrams from the board's address: the work of the servo thread for them has a bound,
 //! in datagrams and not in time.
 
+#[path = "common/fake_board.rs"]
 mod common;
 
 use common::rig::{PERIOD_NS, Rig};

@@ -1,5 +1,6 @@
 //! Fake boards with a key: a client with the key is accepted, a client without it gets the remedy.
 
+#[path = "common/fake_board.rs"]
 mod common;
 
 use common::flash::LanSegment;

@@ -1,5 +1,6 @@
 //! A `loadrt` that fails prints the problem and the remedy in one sentence.
 
+#[path = "common/fake_board.rs"]
 mod common;
 
 use common::{FakeBoard, Knobs, Time};

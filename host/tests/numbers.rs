@@ -1,5 +1,6 @@
 //! Every number that comes from HAL is checked: an invalid value is told once and not used.
 
+#[path = "common/fake_board.rs"]
 mod common;
 
 use common::rig::{PERIOD_NS, Rig};

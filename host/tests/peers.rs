@@ -4,6 +4,7 @@
 //! The defects were found by reading and simulating Lcnc, LiteX-CNC, hostmot2 and Remora. Those
 //! that concern gateware are in `tests/tests/peers.rs`.
 
+#[path = "common/fake_board.rs"]
 mod common;
 
 use common::rig::{PERIOD_NS, Rig, load_with};

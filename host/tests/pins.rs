@@ -1,6 +1,7 @@
 //! `docs/pins.md` says what the driver exports: every pin, its type, its direction, and the other
 //! drivers' names for it.
 
+#[path = "common/fake_board.rs"]
 mod common;
 
 use common::rig::load_with;

@@ -1,5 +1,6 @@
 //! Library and tool on a segment of fake boards: find boards, tell them apart, give them addresses.
 
+#[path = "common/fake_board.rs"]
 mod common;
 #[path = "common/tool.rs"]
 mod ferrocnc_tool;

@@ -1,6 +1,7 @@
 //! `ferrocnc selftest` at the command line: its question before it arms anything, and the place of
 //! its report. What it finds is tested on the twin (`tests/tests/selftest`).
 
+#[path = "common/fake_board.rs"]
 mod common;
 #[path = "common/tool.rs"]
 mod tool;

@@ -1,5 +1,6 @@
 //! The servo thread must not allocate, and a panic must not leave it.
 
+#[path = "common/fake_board.rs"]
 mod common;
 
 use common::rig::load_with;

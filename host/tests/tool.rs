@@ -1,5 +1,6 @@
 //! The tool `ferrocnc` against a fake board.
 
+#[path = "common/fake_board.rs"]
 mod common;
 #[path = "common/tool.rs"]
 mod ferrocnc_tool;

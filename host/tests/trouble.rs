@@ -1,6 +1,7 @@
 //! Faults of everyday use: a late thread, a loose plug, a parameter set by hand, a board that was
 //! off for an hour.
 
+#[path = "common/fake_board.rs"]
 mod common;
 
 use common::rig::{PERIOD_NS, Rig};

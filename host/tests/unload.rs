@@ -2,6 +2,7 @@
 //! threads. `tests/turn.rs` tests the hand-over in every possible order, `tests/tests/trouble.rs`
 //! under the real rtapi.
 
+#[path = "common/fake_board.rs"]
 mod common;
 
 use common::FakeBoard;

@@ -1,5 +1,6 @@
 //! A new image over the network, against a fake board with a flash.
 
+#[path = "common/fake_board.rs"]
 mod common;
 
 use common::{FakeBoard, Time};

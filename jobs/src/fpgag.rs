@@ -25,7 +25,7 @@ pub const WORDS: usize = 4;
 
 /// The command that is sent with a word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Command {
+pub enum FpgagCommand {
     /// No command.
     Empty,
     /// The word is the next of an instruction.
@@ -38,15 +38,15 @@ pub enum Command {
     Stop,
 }
 
-impl Command {
+impl FpgagCommand {
     /// From its code.
-    pub const fn from_code(code: u8) -> Option<Command> {
+    pub const fn from_code(code: u8) -> Option<FpgagCommand> {
         match code {
-            0 => Some(Command::Empty),
-            1 => Some(Command::Gcode),
-            2 => Some(Command::Status),
-            3 => Some(Command::Start),
-            4 => Some(Command::Stop),
+            0 => Some(FpgagCommand::Empty),
+            1 => Some(FpgagCommand::Gcode),
+            2 => Some(FpgagCommand::Status),
+            3 => Some(FpgagCommand::Start),
+            4 => Some(FpgagCommand::Stop),
             _ => None,
         }
     }
@@ -54,11 +54,11 @@ impl Command {
     /// Its code.
     pub const fn code(self) -> u8 {
         match self {
-            Command::Empty => 0,
-            Command::Gcode => 1,
-            Command::Status => 2,
-            Command::Start => 3,
-            Command::Stop => 4,
+            FpgagCommand::Empty => 0,
+            FpgagCommand::Gcode => 1,
+            FpgagCommand::Status => 2,
+            FpgagCommand::Start => 3,
+            FpgagCommand::Stop => 4,
         }
     }
 }
@@ -272,7 +272,7 @@ mod tests {
     fn unknown_commands_are_none() {
         for code in 0..=255 {
             assert_eq!(
-                Command::from_code(code).map(Command::code),
+                FpgagCommand::from_code(code).map(FpgagCommand::code),
                 (code < 5).then_some(code)
             );
         }

@@ -14,7 +14,7 @@ use motion::segment::AXES;
 use wire::Name;
 use wire::describe::{Describe, FEATURE_KEY};
 use wire::jobs::{
-    self, Command, FRAME, Frame, Op, Request, SILENCE_SECONDS, Status, VERSION, Welcome, Writer,
+    self, FRAME, Frame, JobCommand, Op, Request, SILENCE_SECONDS, Status, VERSION, Welcome, Writer,
 };
 
 /// The state of the connection and of its client.
@@ -220,7 +220,7 @@ impl<O: Outside> RequestContext<'_, '_, O> {
         let anothers = |(client, ..): (u32, u8, u16)| client != self.server.client;
         let harmless = match Request::parse(frame) {
             Ok(Request::Report | Request::List { .. } | Request::GetMachine) => true,
-            Ok(Request::Command { code, .. }) => Command::from_code(code).is_some_and(halts),
+            Ok(Request::Command { code, .. }) => JobCommand::from_code(code).is_some_and(halts),
             Ok(Request::Segment { command, .. }) => words::halts(command),
             Ok(_) | Err(_) => false,
         };
@@ -396,8 +396,8 @@ impl<O: Outside> RequestContext<'_, '_, O> {
     /// Hello first; and with a key, a client that has not proved it may only look and stop.
     fn may(&self, request: &Request) -> Result<(), Status> {
         let stop = |code: u8| {
-            let command = Command::from_code(code);
-            command.is_none_or(|command| command == Command::Welcome || halts(command))
+            let command = JobCommand::from_code(code);
+            command.is_none_or(|command| command == JobCommand::Welcome || halts(command))
         };
         match request {
             Request::Hello { .. } => Ok(()),
@@ -423,8 +423,8 @@ impl<O: Outside> RequestContext<'_, '_, O> {
 }
 
 /// Commands that every client may give: they bring the machine to a stand.
-fn halts(command: Command) -> bool {
-    matches!(command, Command::Stop | Command::Pause)
+fn halts(command: JobCommand) -> bool {
+    matches!(command, JobCommand::Stop | JobCommand::Pause)
 }
 
 /// Bytes of the longest request of a client that is told to wait: a command with a name.
@@ -515,7 +515,7 @@ impl<O: Outside> Caller<'_, '_, O> {
     fn answer(&mut self, frame: &Frame, answer: &mut [u8; FRAME]) -> usize {
         let (op, id) = (frame.op, frame.id);
         let halt = match Request::parse(frame) {
-            Ok(Request::Command { code, .. }) => Command::from_code(code).filter(|c| halts(*c)),
+            Ok(Request::Command { code, .. }) => JobCommand::from_code(code).filter(|c| halts(*c)),
             Ok(Request::Segment { command, words, .. }) if words::halts(command) => {
                 let done = self
                     .executor

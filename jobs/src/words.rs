@@ -9,7 +9,7 @@
 //! do not complete it: it is dropped, and both clients are told by a parse error, the one that
 //! comes now and the one that began it when it goes on.
 
-use crate::fpgag::{CURVE_WORDS, Command, Curve, Error, Move, WORDS, status};
+use crate::fpgag::{CURVE_WORDS, Curve, Error, FpgagCommand, Move, WORDS, status};
 use crate::player::{Limits, Player, Word};
 use motion::segment::{AXES, Segment};
 
@@ -22,14 +22,14 @@ pub const NOT_NOW: u32 = status::FULL | status::PARSE_ERROR;
 /// A command that moves nothing.
 pub fn harmless(command: u8) -> bool {
     !matches!(
-        Command::from_code(command),
-        Some(Command::Start | Command::Gcode)
+        FpgagCommand::from_code(command),
+        Some(FpgagCommand::Start | FpgagCommand::Gcode)
     )
 }
 
 /// A command that ends motion.
 pub fn halts(command: u8) -> bool {
-    Command::from_code(command) == Some(Command::Stop)
+    FpgagCommand::from_code(command) == Some(FpgagCommand::Stop)
 }
 
 /// The words a client of this protocol has sent.

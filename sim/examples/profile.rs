@@ -9,8 +9,8 @@
 use std::collections::BTreeMap;
 use std::process::Command;
 
+use sim::lan_segment::{BOARD_PORT, HOST_IP};
 use sim::rig::{RIG_PORT, Rig};
-use sim::segment::{BOARD_PORT, HOST_IP};
 use wire::describe::Channels;
 use wire::exchange;
 

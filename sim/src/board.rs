@@ -5,7 +5,7 @@
 //! 60 and 125 MHz: 2/3 ns, 25 ticks to a sys clock and 12 to an Ethernet clock), so the clocks
 //! never drift. Callers use sys clocks.
 //!
-//! It handles frames as bytes with times; [`crate::segment`] knows their contents.
+//! It handles frames as bytes with times; [`crate::lan_segment`] knows their contents.
 
 use std::collections::VecDeque;
 use std::ops::{Deref, DerefMut};

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use crate::gmii::Sent;
-use crate::segment::Endpoint;
+use crate::lan_segment::Endpoint;
 use wire::etherbone::{FLAG_PROBE, HEADER_WORDS, MAGIC, OVERHEAD, counts};
 use wire::exchange::{StateWord, command_word, status_word};
 

@@ -12,7 +12,7 @@
 //!        | UDP / TCP on 127.0.0.1                   |
 //!   [server]  time modes, sockets, report         [rig]  in-process API
 //!        |--------------------+---------------------+
-//!     [twin]                 [segment]  virtual Ethernet: hosts, ARP, ICMP, TCP, NAT of host ports
+//!     [twin]               [lan_segment]  virtual Ethernet: hosts, ARP, ICMP, TCP, NAT of ports
 //!        | firmware lib         | Ethernet frames
 //!     [model]                [board]  two clocks, GMII bytes, timestamps
 //!        |                      |
@@ -39,6 +39,7 @@ pub mod figures;
 pub mod firmware;
 pub mod gmii;
 pub mod jobs;
+pub mod lan_segment;
 pub mod lease;
 pub mod loader;
 pub mod model;
@@ -48,7 +49,6 @@ pub mod pads;
 pub mod plant;
 pub mod report;
 pub mod rig;
-pub mod segment;
 pub mod server;
 pub mod services;
 pub mod soc;

@@ -174,7 +174,7 @@ struct Arguments {
     #[arg(long)]
     factory: bool,
     /// The board's address on its own virtual Ethernet.
-    #[arg(long, value_name = "IP", default_value_t = sim::segment::BOARD_IP)]
+    #[arg(long, value_name = "IP", default_value_t = sim::lan_segment::BOARD_IP)]
     board_ip: std::net::Ipv4Addr,
     /// Encoder counts per motor step at the pins (the plant).
     #[arg(long, value_name = "N", default_value_t = 1)]

@@ -28,13 +28,13 @@ use crate::exchange::{Meter, Timing, is_request};
 use crate::faults::{Act, Cargo, Direction, Kind, OneWay, Plan, Script};
 use crate::firmware::Image;
 use crate::gmii::{self, Transfer};
+use crate::lan_segment::{
+    BOARD_IP, BOARD_PORT, CONSOLE_PORT, Connection, Datagram, Echo, Endpoint, HOST_IP, LanSegment,
+};
 use crate::nor::pins::Wires;
 use crate::nor::spi::Shared;
 use crate::plant::Plant;
 use crate::report::{Counters, FrameCounts, Report, Seen};
-use crate::segment::{
-    BOARD_IP, BOARD_PORT, CONSOLE_PORT, Connection, Datagram, Echo, Endpoint, HOST_IP, LanSegment,
-};
 use crate::soc::{LINK_1000, Manifest, Pins, SdramLines, Silicon, Soc};
 
 /// Source port of [`Rig::exchange`] and the register helpers.

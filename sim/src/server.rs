@@ -34,7 +34,7 @@ use std::time::{Duration, Instant};
 
 use crate::exchange::Spread;
 use crate::faults::{Direction, Plan, WORDS};
-use crate::segment::{CONSOLE_PORT, Nat};
+use crate::lan_segment::{CONSOLE_PORT, Nat};
 
 use self::cable::Cable;
 pub use device::{Addresses, Device, Reply, Service};
@@ -172,8 +172,8 @@ impl<D: Device> Server<D> {
         let console_address = console.as_ref().map(TcpListener::local_addr).transpose()?;
         let jobs_address = jobs.as_ref().map(TcpListener::local_addr).transpose()?;
         let control_address = control.as_ref().map(TcpListener::local_addr).transpose()?;
-        let doors = [(console, CONSOLE_PORT), (jobs, wire::jobs::PORT)];
-        for (first, (listener, port)) in (0..).zip(doors) {
+        let listeners = [(console, CONSOLE_PORT), (jobs, wire::jobs::PORT)];
+        for (first, (listener, port)) in (0..).zip(listeners) {
             let to = sender.clone();
             if let Some(listener) = listener {
                 std::thread::spawn(move || accept_visitors(&listener, first, port, &to));

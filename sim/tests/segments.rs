@@ -661,7 +661,7 @@ fn job(random: &mut Pcg32, segments: usize) -> Vec<Segment> {
                 0 if !last => 64,
                 _ => random.random_range(64..900),
             };
-            // What the steepest acceleration reaches: 256 units of rate a clock. More comes at
+            // What the steepest acceleration reaches: 256 units of velocity a clock. More comes at
             // once, but never through a reversal.
             let most = (i64::from(clocks) - 2) << 8;
             let aims = before.map(|before| {

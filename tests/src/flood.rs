@@ -8,8 +8,10 @@ use rand::Rng;
 use rand::seq::IndexedRandom;
 use rand_pcg::Pcg64Mcg;
 use sim::gmii;
+use sim::lan_segment::{
+    BOARD_IP, BOARD_PORT, CONSOLE_PORT, Connection, Endpoint, HOST_IP, HOST_MAC,
+};
 use sim::rig::RIG_PORT;
-use sim::segment::{BOARD_IP, BOARD_PORT, CONSOLE_PORT, Connection, Endpoint, HOST_IP, HOST_MAC};
 use std::net::Ipv4Addr;
 use wire::board::crc32;
 use wire::exchange::{Command, Status};

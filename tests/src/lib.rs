@@ -27,8 +27,8 @@ pub use simulator::{Simulator, control};
 
 use sim::edges;
 use sim::firmware::Image;
+use sim::lan_segment::{BOARD_PORT, Datagram, HOST_IP};
 use sim::rig::{RIG_PORT, Setup};
-use sim::segment::{BOARD_PORT, Datagram, HOST_IP};
 use sim::soc::Silicon;
 use sim::{Rig, exchange::Spread};
 use std::path::PathBuf;
@@ -199,12 +199,12 @@ impl BenchMachine {
         machine
     }
 
-    /// An armed board with its first stepgen at `rate` steps/s for so many servo periods.
-    pub fn turning(rate: f64, periods: u32) -> (Self, Command) {
+    /// An armed board with its first stepgen at `velocity` steps/s for so many servo periods.
+    pub fn turning(velocity: f64, periods: u32) -> (Self, Command) {
         let mut machine = Self::armed();
         let mut command = machine.enabled_command();
-        let rate = Velocity::from_hz(rate, machine.clock_hz());
-        command.stepgen[0] = (rate, Accel::UNLIMITED);
+        let velocity = Velocity::from_hz(velocity, machine.clock_hz());
+        command.stepgen[0] = (velocity, Accel::UNLIMITED);
         for _ in 0..periods {
             machine.exchange_and_wait(&mut command);
         }
@@ -551,10 +551,10 @@ impl BenchMachine {
         self.rig.board.edges.violation_count()
     }
 
-    /// Clocks a soft stop from this command's rate takes.
+    /// Clocks a soft stop from this command's velocity takes.
     pub fn soft_stop_clocks(&self, command: &Command, axis: usize) -> u64 {
-        let rate = command.stepgen[axis].0.to_hz(self.clock_hz()).abs();
-        (rate / STOP_ACCEL * self.clock_hz()).ceil() as u64
+        let velocity = command.stepgen[axis].0.to_hz(self.clock_hz()).abs();
+        (velocity / STOP_ACCEL * self.clock_hz()).ceil() as u64
     }
 
     /// Whether outputs are live.

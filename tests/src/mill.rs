@@ -530,7 +530,7 @@ impl Owner {
     }
 
     /// What axis n is to do.
-    pub fn rate(&mut self, axis: usize, steps_per_second: f64, accel: Accel) {
+    pub fn velocity(&mut self, axis: usize, steps_per_second: f64, accel: Accel) {
         let hz = f64::from(facts().clock_hz);
         self.command.stepgen[axis] = (Velocity::from_hz(steps_per_second, hz), accel);
     }

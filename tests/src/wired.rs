@@ -17,10 +17,10 @@ use host::keys::Keys;
 use motion::segment::AXES;
 use sim::edges::Timing;
 use sim::environment::Output;
+use sim::lan_segment::Connection;
 use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part};
 use sim::rig::Setup;
-use sim::segment::Connection;
 use std::collections::BTreeMap;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, Shutdown, SocketAddr, SocketAddrV4, TcpListener, TcpStream};
@@ -286,7 +286,7 @@ impl Wired {
 
 impl ClientLine {
     /// Passes data between both ends; false when both have closed.
-    fn serve(&mut self, segment: &mut sim::segment::LanSegment, now: u64) -> bool {
+    fn serve(&mut self, segment: &mut sim::lan_segment::LanSegment, now: u64) -> bool {
         let mut buffer = [0; 2048];
         while !self.over && self.ahead.is_empty() {
             match self.stream.read(&mut buffer) {

@@ -212,7 +212,7 @@ fn moving_owner() -> Owner {
     let stop = Accel::from_steps(5e5, f64::from(facts().clock_hz));
     let twin = Twin::power_up(Mill::setup());
     let mut owner = Owner::armed(twin, 300_000, 30_000_000, [stop; 3]);
-    owner.rate(0, 50e3, Accel::from_steps(5e5, f64::from(facts().clock_hz)));
+    owner.velocity(0, 50e3, Accel::from_steps(5e5, f64::from(facts().clock_hz)));
     for _ in 0..150 {
         owner.exchange().expect("an answer");
     }
@@ -251,13 +251,13 @@ fn malformed_truncated_padded_oversized_datagram() {
     for (reason, datagram) in bad {
         let at = map::COUNTERS_REFUSED + 4 * reason.index() as u32;
         let before = owner.read(at);
-        let rate = steps_in_a_millisecond(&mut owner);
+        let velocity = steps_in_a_millisecond(&mut owner);
         assert_eq!(owner.ask(&datagram), None, "{reason:?}");
         assert_eq!(owner.read(at), before + 1, "{reason:?}");
         let after = steps_in_a_millisecond(&mut owner);
         assert!(
-            rate.abs_diff(after) <= 1,
-            "{reason:?}: {rate} steps, then {after}"
+            velocity.abs_diff(after) <= 1,
+            "{reason:?}: {velocity} steps, then {after}"
         );
         owner.exchange().expect("and it goes on");
     }
@@ -530,11 +530,11 @@ fn rate_asks_more_than_the_timing_allows() {
 
     // The gateware holds it back: a host that asks for all there is.
     let mut owner = moving_owner();
-    owner.rate(0, 29e6, Accel::UNLIMITED);
+    owner.velocity(0, 29e6, Accel::UNLIMITED);
     for _ in 0..100 {
         owner.exchange().expect("an answer");
     }
-    owner.rate(0, 0.0, Accel::UNLIMITED);
+    owner.velocity(0, 0.0, Accel::UNLIMITED);
     let status = (0..50)
         .map(|_| owner.exchange())
         .last()

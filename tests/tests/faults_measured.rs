@@ -41,12 +41,12 @@ impl Scene {
         let twin = Twin::power_up(Mill::setup());
         let mut owner = Owner::armed(twin, timeout, 30_000_000, stop);
         for axis in 0..3 {
-            let rate = match random.random_range(0..8) {
+            let velocity = match random.random_range(0..8) {
                 0 => 0.0,
                 1 => 100.0,
                 _ => random.random_range(-100e3..100e3),
             };
-            owner.rate(axis, rate, Accel::from_steps(1e8, HZ));
+            owner.velocity(axis, velocity, Accel::from_steps(1e8, HZ));
         }
         // 100 000 steps/s at 10^8 steps/s^2 are there within a millisecond. A timeout of a
         // millisecond does not wait for one.
@@ -62,9 +62,9 @@ impl Scene {
     }
 
     /// Clocks of the longest soft stop from these velocities.
-    fn soft_stop(&self, rates: [Velocity; 3]) -> u64 {
-        let clocks = rates.iter().zip(self.stop).map(|(rate, stop)| {
-            let v = u64::from(rate.0.unsigned_abs()) << VELOCITY_FRACTION;
+    fn soft_stop(&self, velocities: [Velocity; 3]) -> u64 {
+        let clocks = velocities.iter().zip(self.stop).map(|(velocity, stop)| {
+            let v = u64::from(velocity.0.unsigned_abs()) << VELOCITY_FRACTION;
             v.div_ceil(stop.0.into())
         });
         COMMIT_CLOCKS + clocks.max().unwrap_or(0)
@@ -84,7 +84,7 @@ fn from_the_last_good_frame_to_the_first_safe_output() {
         assert!(fed >= sent, "seed {seed}");
         // Where they are or, if one is still on its way there, where it will be by then.
         let (now, then) = (status.stepgen, scene.owner.command.stepgen);
-        let rates =
+        let velocities =
             [0, 1, 2].map(
                 |n| match now[n].1.0.unsigned_abs() > then[n].0.0.unsigned_abs() {
                     true => now[n].1,
@@ -102,7 +102,7 @@ fn from_the_last_good_frame_to_the_first_safe_output() {
         let plan = trouble.parse().expect("a plan");
         scene.owner.twin.trouble(&plan).expect("a twin");
         gate_closed(&mut scene.owner);
-        let bound = scene.timeout + scene.soft_stop(rates) + 2;
+        let bound = scene.timeout + scene.soft_stop(velocities) + 2;
         // A host that is cut off goes on sending; one that is dead does not.
         let talks = random.random_bool(0.5);
         let end = scene.owner.twin.clock() + bound + 120_000;
@@ -114,7 +114,7 @@ fn from_the_last_good_frame_to_the_first_safe_output() {
             }
         }
         let told = format!(
-            "seed {seed}, {trouble}, timeout {}, rates {rates:?}",
+            "seed {seed}, {trouble}, timeout {}, velocities {velocities:?}",
             scene.timeout
         );
         let closed = gate_closed(&mut scene.owner).unwrap_or_else(|| panic!("{told}: never safe"));
@@ -334,9 +334,9 @@ impl Day {
                 // The sample is of now; the command holds until the next.
                 let error = self.wanted[n] - Self::reported(&status, n);
                 let wanted = at(t + 1.0);
-                let rate = (wanted - self.wanted[n] + 0.5 * error) * 1000.0;
+                let velocity = (wanted - self.wanted[n] + 0.5 * error) * 1000.0;
                 self.wanted[n] = wanted;
-                self.owner.rate(n, rate, Accel::from_steps(1e7, HZ));
+                self.owner.velocity(n, velocity, Accel::from_steps(1e7, HZ));
             }
             self.owner.pass(end - self.owner.twin.clock() - 1000);
         }

@@ -12,9 +12,9 @@ fn cutting() -> (BenchMachine, Command) {
     let mut machine = BenchMachine::armed();
     let mut command = machine.enabled_command();
     command.gpio_out = 0x5;
-    for (axis, rate) in [100e3, -60e3, 20e3].into_iter().enumerate() {
-        let rate = Velocity::from_hz(rate, machine.clock_hz());
-        command.stepgen[axis] = (rate, Accel::from_steps(1e8, machine.clock_hz()));
+    for (axis, velocity) in [100e3, -60e3, 20e3].into_iter().enumerate() {
+        let velocity = Velocity::from_hz(velocity, machine.clock_hz());
+        command.stepgen[axis] = (velocity, Accel::from_steps(1e8, machine.clock_hz()));
     }
     for _ in 0..5 {
         machine.exchange_and_wait(&mut command);
@@ -118,8 +118,8 @@ fn external_reset_pin_high() {
 #[test]
 fn rate_asks_more_than_the_timing_allows() {
     let (mut machine, mut command) = cutting();
-    let rate = Velocity::from_hz(29e6, machine.clock_hz());
-    command.stepgen[0] = (rate, Accel::UNLIMITED);
+    let velocity = Velocity::from_hz(29e6, machine.clock_hz());
+    command.stepgen[0] = (velocity, Accel::UNLIMITED);
     machine.exchange(&mut command);
     // What the watchdog leaves of it runs without a CPU, soft stop included.
     machine.freeze_cpu();

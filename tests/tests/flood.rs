@@ -13,7 +13,7 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use serde_json::{Map, Value, json};
 use sim::exchange::Spread;
-use sim::segment::Connection;
+use sim::lan_segment::Connection;
 use std::cell::Cell;
 use wire::exchange::Command;
 use wire::state::State;
@@ -47,7 +47,7 @@ const MARGIN: u32 = 3 * 60_000 - LONGEST_CALL;
 /// the longest reads takes it 0.82 ms.
 const WORKED_OFF: u64 = 5;
 
-/// A machine with six moving axes, each at its own rate.
+/// A machine with six moving axes, each at its own velocity.
 fn moving() -> (BenchMachine, Command) {
     let mut machine = BenchMachine::boot(mill());
     machine.make_ready();
@@ -63,8 +63,8 @@ fn moving_with_jobs() -> (BenchMachine, Command) {
 
 fn set_moving(machine: BenchMachine) -> (BenchMachine, Command) {
     let mut command = machine.enabled_command();
-    for (n, (rate, accel)) in command.stepgen.iter_mut().take(axes(&machine)).enumerate() {
-        *rate = Velocity::from_hz(25e3 * (n as f64 - 2.6), machine.clock_hz());
+    for (n, (velocity, accel)) in command.stepgen.iter_mut().take(axes(&machine)).enumerate() {
+        *velocity = Velocity::from_hz(25e3 * (n as f64 - 2.6), machine.clock_hz());
         *accel = Accel::from_steps(1e8, machine.clock_hz());
     }
     (machine, command)
@@ -77,8 +77,8 @@ fn axes(machine: &BenchMachine) -> usize {
 /// What was asked for is what was done: all axes at rest, every pulse the board tells of was at the
 /// pins.
 fn comes_to_rest(machine: &mut BenchMachine, command: &mut Command) {
-    for (rate, _) in &mut command.stepgen {
-        *rate = Velocity(0);
+    for (velocity, _) in &mut command.stepgen {
+        *velocity = Velocity(0);
     }
     for _ in 0..5 {
         machine.exchange_and_wait(command);

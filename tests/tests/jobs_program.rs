@@ -7,8 +7,8 @@ use ferrocnc_tests::bench::Bench;
 use ferrocnc_tests::flash::{self, Boots};
 use ferrocnc_tests::services::{beginning, sealed};
 use ferrocnc_tests::wired::{golden, on_flash, program, setup};
+use sim::lan_segment::Connection;
 use sim::nor::{Part, Times};
-use sim::segment::Connection;
 use sim::soc::SdramLines;
 use wire::describe::{FEATURE_JOBS, JobsState};
 use wire::flash::{Running, Slot};
@@ -143,7 +143,7 @@ fn the_program_is_found_in_the_flash_and_answers_on_its_port() {
     let caller = machine.rig().tcp_connect(wire::jobs::PORT);
     let caller = caller.expect("a second connection");
     let stop = Request::Command {
-        code: wire::jobs::Command::Stop.code(),
+        code: wire::jobs::JobCommand::Stop.code(),
         flags: 0,
         keepalive: 0,
         name: wire::Name::EMPTY,

@@ -16,7 +16,7 @@ use rand::Rng;
 use sim::plant::Switch;
 use std::sync::{LazyLock, Mutex, MutexGuard};
 use std::time::Duration;
-use wire::jobs::{Command, End, Report, State};
+use wire::jobs::{End, JobCommand, Report, State};
 
 const MS: u64 = 60_000;
 /// Segments the core holds.
@@ -261,7 +261,7 @@ fn under_way(wired: &mut Wired, text: &str, machine: &MachineFile, keepalive: Op
     panic!("it does not begin: {:?}", report(wired));
 }
 
-fn command(wired: &mut Wired, code: Command) {
+fn command(wired: &mut Wired, code: JobCommand) {
     let answer = wired.with(|board| board.command(code));
     answer.unwrap_or_else(|error| panic!("{error}"));
 }
@@ -355,13 +355,13 @@ fn pauses_at_any_moment_change_no_step() {
         let before = until(&mut wired, |report| report.state == State::Running);
         assert_eq!(before.end, End::None);
         wired.run(random.random_range(1..told.clocks / 4));
-        command(&mut wired, Command::Pause);
+        command(&mut wired, JobCommand::Pause);
         let stood = until(&mut wired, |report| report.stands);
         assert_eq!(stood.state, State::Paused, "seed {seed}: {stood:?}");
         let steps = wired.steps();
         wired.run(5 * MS);
         assert_eq!(wired.steps(), steps, "seed {seed}: moves in a pause");
-        command(&mut wired, Command::Continue);
+        command(&mut wired, JobCommand::Continue);
     }
     let report = until(&mut wired, |report| report.state == State::Stopped);
     assert_eq!(report.end, End::Done, "seed {seed}: {report:?}");
@@ -377,7 +377,7 @@ fn stop_comes_to_rest_on_the_path_and_the_next_job_goes_on_from_there() {
     let mut wired = board();
     let began = began(&mut wired);
     under_way(&mut wired, LONG, &brisk(), None);
-    command(&mut wired, Command::Stop);
+    command(&mut wired, JobCommand::Stop);
     let report = ended(&mut wired, End::Stopped, &began);
     assert!(report.known, "{report:?}");
     let [x, y, _] = report.steps;
@@ -600,7 +600,7 @@ impl Strikes {
         match self {
             // No client sends to it until its keepalive is over.
             Strikes::Silence => wired.run(110 * MS),
-            Strikes::Stop => command(wired, Command::Stop),
+            Strikes::Stop => command(wired, JobCommand::Stop),
             Strikes::EStop => {
                 assert!(wired.machine.inputs_until_safe(ESTOP) < 100);
                 wired.machine.inputs(0);

@@ -7,10 +7,10 @@
 use ferrocnc_tests::flash::{self, factory};
 use ferrocnc_tests::{to_bytes, to_words, wait_for_services};
 use host::keys::Key;
+use sim::lan_segment::{BOARD_IP, HOST_IP};
 use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part, Times};
 use sim::rig::Rig;
-use sim::segment::{BOARD_IP, HOST_IP};
 use std::net::Ipv4Addr;
 use wire::describe::{self, FEATURE_KEY};
 use wire::discovery::{Body, Message, WORDS_MAX, proof};

@@ -144,9 +144,9 @@ fn at_speed(table: &mut impl Table) -> (Command, u64) {
     // Up along the line, so that no axis leaves it on the way.
     let mut last = 0;
     for part in (1..=25).map(|n| f64::from(n.min(20)) / 20.0) {
-        for (axis, (rate, _)) in AXES.into_iter().enumerate() {
-            let rate = Velocity::from_hz(rate * part, clock_hz);
-            command.stepgen[axis] = (rate, Accel::UNLIMITED);
+        for (axis, (velocity, _)) in AXES.into_iter().enumerate() {
+            let velocity = Velocity::from_hz(velocity * part, clock_hz);
+            command.stepgen[axis] = (velocity, Accel::UNLIMITED);
         }
         if part == 1.0 {
             table.keep_steps();
@@ -268,12 +268,12 @@ fn what_was_configured_is_read_back_in_motion_and_in_the_cores_again_at_rest() {
         machine.read(regmap::address(page, stepgen::STOP_ACCEL))
     };
     let clock_hz = BenchMachine::clock_hz(&machine);
-    for (axis, (rate, accel)) in (0..).zip(AXES) {
+    for (axis, (velocity, accel)) in (0..).zip(AXES) {
         let accel = Accel::from_steps(accel, clock_hz).0;
         assert_eq!(configured(&mut machine, axis), accel);
-        let held = Accel::from_steps(rate.abs() / TAKES, clock_hz).0;
+        let held = Accel::from_steps(velocity.abs() / TAKES, clock_hz).0;
         let core = core(&mut machine, axis);
-        // A rate is a whole number of units: 11 kHz are 787 000 of them.
+        // A velocity is a whole number of units: 11 kHz are 787 000 of them.
         assert!(
             core.abs_diff(held) <= 2 + held / 100_000,
             "axis {axis}: {core}, not {held}"
@@ -354,9 +354,12 @@ impl Cause {
 fn any_machine(random: &mut Pcg32) -> Vec<(f64, f64)> {
     let takes = 10f64.powf(random.random_range(-3.0..-0.3));
     let axis = |random: &mut Pcg32| {
-        let rate = 10f64.powf(random.random_range(2.0..5.3));
+        let velocity = 10f64.powf(random.random_range(2.0..5.3));
         let sign = if random.random_bool(0.5) { 1.0 } else { -1.0 };
-        (sign * rate, rate / (takes * random.random_range(0.05..1.0)))
+        (
+            sign * velocity,
+            velocity / (takes * random.random_range(0.05..1.0)),
+        )
     };
     let count = random.random_range(1..=6);
     (0..count).map(|_| axis(random)).collect()
@@ -379,8 +382,8 @@ fn drives(machine: &mut BenchMachine, axes: &[(f64, f64)]) -> (Command, u64) {
         command.enable_request = request;
         machine.exchange(&mut command);
     }
-    for (n, (rate, _)) in axes.iter().enumerate() {
-        command.stepgen[n].0 = Velocity::from_hz(*rate, clock_hz);
+    for (n, (velocity, _)) in axes.iter().enumerate() {
+        command.stepgen[n].0 = Velocity::from_hz(*velocity, clock_hz);
     }
     machine.exchange(&mut command);
     machine.run_clocks(6000);
@@ -427,18 +430,18 @@ fn braking_since(
 ) -> Result<f64, (f64, String)> {
     let takes = axes.iter().fold(0.0f64, |t, (v, a)| t.max(v.abs() / a));
     let (mut used, mut worst) = (0.0f64, (0.0, String::new()));
-    for (n, (rate, accel)) in axes.iter().enumerate() {
-        let rate = rate.abs();
-        let share = (rate / takes).max(accel / 256.0);
-        let slack = OFF + rate * GRID as f64 / clock_hz;
+    for (n, (velocity, accel)) in axes.iter().enumerate() {
+        let velocity = velocity.abs();
+        let share = (velocity / takes).max(accel / 256.0);
+        let slack = OFF + velocity * GRID as f64 / clock_hz;
         let mut made = 0.0;
         for step in steps.iter().filter(|step| usize::from(step.channel) == n) {
             let Some(since) = step.clock.checked_sub(stop) else {
                 continue;
             };
             made += 1.0;
-            let t = (since as f64 / clock_hz).min(rate / share);
-            let ideal = rate * t - share * t * t / 2.0;
+            let t = (since as f64 / clock_hz).min(velocity / share);
+            let ideal = velocity * t - share * t * t / 2.0;
             let off = (made - ideal).abs() - slack;
             if off > worst.0 {
                 let text =
@@ -446,7 +449,7 @@ fn braking_since(
                 worst = (off, text);
             }
         }
-        used = used.max(made / (rate * rate / (2.0 * share) + slack));
+        used = used.max(made / (velocity * velocity / (2.0 * share) + slack));
     }
     if worst.0 > 0.0 { Err(worst) } else { Ok(used) }
 }

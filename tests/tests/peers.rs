@@ -45,7 +45,7 @@ fn no_step_comes_before_the_direction_is_set_up_or_while_it_is_held() {
     );
 }
 
-/// Lcnc: pulses merge into one when the step width reaches the period of the rate asked for.
+/// Lcnc: pulses merge into one when the step width reaches the period of the step rate asked for.
 #[test]
 fn pulses_stay_apart_when_the_rate_is_more_than_their_length_allows() {
     // 1 us + 1 us allows 500 kHz; a third more is asked for.
@@ -112,9 +112,9 @@ fn the_highest_rates_keep_their_sign() {
     }
     let mut command = machine.enabled_command();
     machine.rearm(&mut command);
-    for rate in [i32::MAX, -i32::MAX, i32::MIN] {
+    for velocity in [i32::MAX, -i32::MAX, i32::MIN] {
         let before = machine.exchange(&mut command);
-        command.stepgen[0] = (Velocity(rate), Accel::UNLIMITED);
+        command.stepgen[0] = (Velocity(velocity), Accel::UNLIMITED);
         machine.exchange(&mut command);
         let first = machine.exchange(&mut command);
         let second = machine.exchange(&mut command);
@@ -122,12 +122,12 @@ fn the_highest_rates_keep_their_sign() {
         let clocks = (second.sample.0 - first.sample.0) as i64;
         assert_eq!(
             moved.signum(),
-            i64::from(rate.signum()),
-            "rate {rate}: {moved} steps in {clocks} clocks"
+            i64::from(velocity.signum()),
+            "velocity {velocity}: {moved} steps in {clocks} clocks"
         );
         assert!(
             (moved.abs() - clocks / 2).abs() <= 1,
-            "rate {rate}: {moved} steps in {clocks} clocks is not half the clock"
+            "velocity {velocity}: {moved} steps in {clocks} clocks is not half the clock"
         );
         assert!(before.state.enabled);
         command.stepgen[0].0 = Velocity(0);
@@ -179,7 +179,7 @@ fn enable_reaches_its_stepgen() {
     assert_eq!(
         machine.edges(0),
         edges,
-        "the rate is still commanded, the enable is gone"
+        "the velocity is still commanded, the enable is gone"
     );
     assert!(
         machine.gate_open(),
@@ -192,13 +192,13 @@ fn enable_reaches_its_stepgen() {
 #[test]
 fn arming_an_index_leaves_the_speed_in_reverse_as_it_is() {
     let (mut machine, mut command) = BenchMachine::turning(-100e3, 3);
-    let rate = command.stepgen[0].0;
+    let velocity = command.stepgen[0].0;
     command.stepgen_index_arm = u16::MAX;
     command.index_arm = u16::MAX;
     command.latch = Latch::Encoder(0);
     for _ in 0..45 {
         let status = machine.exchange_and_wait(&mut command);
-        assert_eq!(status.stepgen[0].1, rate);
+        assert_eq!(status.stepgen[0].1, velocity);
     }
     let status = machine.exchange(&mut command);
     assert_eq!(
@@ -267,8 +267,8 @@ fn dither_is_seen_at_the_pin() {
     }
 }
 
-/// RIO: the rate is clock / integer, so the top of the range is coarse, and a shorter period cuts
-/// into the running one.
+/// RIO: the step rate is clock / integer, so the top of the range is coarse, and a shorter period
+/// cuts into the running one.
 #[test]
 fn the_rate_between_two_periods_is_right_on_average() {
     let (mut machine, mut command) = BenchMachine::turning(440e3, 3);
@@ -286,8 +286,8 @@ fn the_rate_between_two_periods_is_right_on_average() {
         steps / seconds
     );
     // The period shrinks and grows under way: no pulse is cut, none comes early.
-    for rate in [450e3, 30e3, 449e3, 100e3, 450e3] {
-        command.stepgen[0].0 = Velocity::from_hz(rate, machine.clock_hz());
+    for velocity in [450e3, 30e3, 449e3, 100e3, 450e3] {
+        command.stepgen[0].0 = Velocity::from_hz(velocity, machine.clock_hz());
         machine.exchange_and_wait(&mut command);
     }
     assert_eq!(machine.timing_violations(), 0);

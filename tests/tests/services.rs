@@ -11,7 +11,7 @@ use ferrocnc_tests::wired::{program, setup};
 use ferrocnc_tests::{BenchMachine, seed};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
-use sim::segment::CONSOLE_PORT;
+use sim::lan_segment::CONSOLE_PORT;
 use sim::soc::SdramLines;
 use wire::describe::{self, FEATURES_AT, JobsState};
 use wire::exchange::{Command, Status};
@@ -70,8 +70,8 @@ fn state(machine: &mut BenchMachine) -> JobsState {
 fn moving(machine: &mut BenchMachine) -> Command {
     machine.make_ready();
     let mut command = machine.enabled_command();
-    for (n, (rate, accel)) in command.stepgen.iter_mut().take(3).enumerate() {
-        *rate = Velocity::from_hz(20e3 * (n as f64 - 1.4), machine.clock_hz());
+    for (n, (velocity, accel)) in command.stepgen.iter_mut().take(3).enumerate() {
+        *velocity = Velocity::from_hz(20e3 * (n as f64 - 1.4), machine.clock_hz());
         *accel = Accel::from_steps(1e8, machine.clock_hz());
     }
     for _ in 0..5 {
@@ -117,8 +117,8 @@ fn outlives_in(part: &str, what: &str, code: &[u32], bound: u64) -> BenchMachine
     assert!(worst <= bound, "{what}: {worst} clocks");
     assert!(machine.gate_open(), "{what}");
     assert_eq!(state(&mut machine), JobsState::Ended, "{what}");
-    for (rate, _) in &mut command.stepgen {
-        *rate = Velocity(0);
+    for (velocity, _) in &mut command.stepgen {
+        *velocity = Velocity(0);
     }
     for _ in 0..5 {
         machine.exchange_and_wait(&mut command);
@@ -300,8 +300,8 @@ fn moves_on(
     assert!(worst <= BOUND + LEASH, "{what}: {worst} clocks");
     assert!(machine.gate_open(), "{what}");
     assert_eq!(state(machine), told, "{what}: what HAL shows");
-    for (rate, _) in &mut command.stepgen {
-        *rate = Velocity(0);
+    for (velocity, _) in &mut command.stepgen {
+        *velocity = Velocity(0);
     }
     for _ in 0..5 {
         machine.exchange_and_wait(&mut command);

@@ -117,9 +117,9 @@ impl Shop {
     }
 }
 
-fn mark(result: &Value, name: &str) -> u64 {
-    let mark = result["marks"][name].as_u64();
-    mark.unwrap_or_else(|| panic!("no mark {name} in {result:#}"))
+fn reached(result: &Value, name: &str) -> u64 {
+    let clock = result["progress"][name].as_u64();
+    clock.unwrap_or_else(|| panic!("no clock of {name} in {result:#}"))
 }
 
 /// Steps between two moments.
@@ -178,8 +178,8 @@ fn story(name: &str, trouble: &str, mend: &str, told: &[&str]) -> Value {
     let result = shop.operator("run", trouble, mend);
     let (steps, report) = shop.end();
 
-    let happened = mark(&result, "trouble");
-    stopped(&steps, happened, mark(&result, "mend"));
+    let happened = reached(&result, "trouble");
+    stopped(&steps, happened, reached(&result, "mend"));
     assert_eq!(result["off"]["enabled"], "FALSE");
     assert_eq!(result["off"]["io-error"], "TRUE");
     assert_eq!(
@@ -195,16 +195,20 @@ fn story(name: &str, trouble: &str, mend: &str, told: &[&str]) -> Value {
     assert_eq!(ours(&result["heard_before"]), [""; 0]);
     assert_eq!(ours(&result["heard_after"]), [""; 0]);
 
-    let moved = within(&steps, mark(&result, "mend"), mark(&result, "enable"));
+    let moved = within(&steps, reached(&result, "mend"), reached(&result, "enable"));
     assert_eq!(moved, 0, "it moved when it was put right");
-    let moved = within(&steps, mark(&result, "enable"), mark(&result, "enabled"));
+    let moved = within(
+        &steps,
+        reached(&result, "enable"),
+        reached(&result, "enabled"),
+    );
     assert_eq!(moved, 0, "it jumped when it was enabled");
     assert_eq!(result["enabled"]["enabled"], "TRUE");
     assert_eq!(result["enabled"]["io-error"], "FALSE");
     assert_eq!(result["enabled"]["fault-reason"], "0");
     at_home(&report);
     if trouble != "power" {
-        no_step_is_missing(&steps, mark(&result, "enabled"));
+        no_step_is_missing(&steps, reached(&result, "enabled"));
     }
     result
 }
@@ -248,17 +252,21 @@ fn a_realtime_process_killed_during_a_g1_stops_the_machine_and_the_next_start_en
     let killed = shop.operator("first", "kill", "");
     let result = shop.operator("second", "none", "");
     let (steps, report) = shop.end();
-    stopped(&steps, mark(&killed, "trouble"), mark(&result, "enable"));
+    stopped(
+        &steps,
+        reached(&killed, "trouble"),
+        reached(&result, "enable"),
+    );
     // The reason can be read, and nothing moved until the operator enabled and homed.
     assert_eq!(result["back"]["fault-reason"], "1", "watchdog");
     assert_eq!(result["back"]["enabled"], "FALSE");
-    let rest = mark(&killed, "trouble") + SOME_PERIODS + ((WATCHDOG + SOFT_STOP) * HZ) as u64;
+    let rest = reached(&killed, "trouble") + SOME_PERIODS + ((WATCHDOG + SOFT_STOP) * HZ) as u64;
     assert_eq!(
-        within(&steps, rest, mark(&result, "enabled")),
+        within(&steps, rest, reached(&result, "enabled")),
         0,
         "it moved by itself"
     );
-    no_step_is_missing(&steps, mark(&result, "enabled"));
+    no_step_is_missing(&steps, reached(&result, "enabled"));
     at_home(&report);
 }
 

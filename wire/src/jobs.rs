@@ -12,8 +12,8 @@
 //! exactly one answer, in order; a client may send requests before earlier answers arrive.
 //!
 //! **A second client**, which connects while there is another one, gets [`Status::Busy`] as if
-//! it had sent a Hello. Then the board reads one request of it. [`Command::Stop`],
-//! [`Command::Pause`] and the STOP of Segment are executed and answered, with or without a Hello
+//! it had sent a Hello. Then the board reads one request of it. [`JobCommand::Stop`],
+//! [`JobCommand::Pause`] and the STOP of Segment are executed and answered, with or without a Hello
 //! and the key; any other request gets [`Status::Busy`]. That is the end of the connection. The
 //! client need not wait for any answer: Hello and Stop in one packet are right in every case.
 //!
@@ -48,10 +48,10 @@
 //! **MachineConfig**: a job needs one; it holds what the planner and the drives have to know
 //! ([`MachineConfig`]). It is kept until the power goes off.
 //!
-//! **Command** takes XYPenPlotter's codes ([`Command`]); others are refused. Stop is valid in every
-//! state. A code that does not fit the state gets [`Status::NotNow`]. A Start is answered before
-//! the job is checked: the check's result is the [`End`] of a [`Report`], with axis and line. A
-//! refused command is answered without a report.
+//! **Command** takes XYPenPlotter's codes ([`JobCommand`]); others are refused. Stop is valid in
+//! every state. A code that does not fit the state gets [`Status::NotNow`]. A Start is answered
+//! before the job is checked: the check's result is the [`End`] of a [`Report`], with axis and line.
+//! A refused command is answered without a report.
 //!
 //! **The key**: on a board with a key, a connection that has not proved it may only read and stop
 //! ([`Status::Key`]). It proves the key with the answer ([`crate::auth`], to acquire, its nonce the
@@ -190,7 +190,7 @@ codes! {
 
 codes! {
     /// XYPenPlotter's codes.
-    Command: u8 {
+    JobCommand: u8 {
         /// End the current work, along the path.
         Stop = 0, "stop";
         /// Continue after a pause.
@@ -495,7 +495,7 @@ pub enum Request<'a> {
     /// XYPenPlotter's code. The code is checked later, so that an unknown code and a malformed
     /// request have different answers.
     Command {
-        /// [`Command`].
+        /// [`JobCommand`].
         code: u8,
         /// [`UNATTENDED`] and axes.
         flags: u8,
@@ -551,7 +551,7 @@ impl<'a> Request<'a> {
         let request = Request::fields(op, &mut reader).ok_or(Status::Malformed)?;
         let name = match request {
             Request::Put { name, .. } | Request::Delete { name } => Some(name),
-            Request::Command { code, name, .. } if code == Command::Start.code() => Some(name),
+            Request::Command { code, name, .. } if code == JobCommand::Start.code() => Some(name),
             _ => None,
         };
         if name.is_some_and(|name| name.is_empty()) {

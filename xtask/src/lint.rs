@@ -11,6 +11,8 @@ mod hardware;
 pub mod lengths;
 mod licences;
 #[cfg(test)]
+mod names;
+#[cfg(test)]
 mod widths;
 #[cfg(test)]
 mod words;

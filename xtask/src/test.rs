@@ -181,16 +181,16 @@ struct Outcome {
     result: Result<usize>,
 }
 
-/// Runs the levels in two lanes, because most levels keep one core busy and wait for it. The first
-/// lane begins with the levels whose programs keep a pace, and then helps the second. The second
-/// lane runs at low priority: LinuxCNC and a streamed job keep their pace beside it. One level
-/// alone, or one core, makes one lane.
+/// Runs the levels in two queues, because most levels keep one core busy and wait for it. The first
+/// queue begins with the levels whose programs keep a pace, and then helps the second. The second
+/// queue runs at low priority: LinuxCNC and a streamed job keep their pace beside it. One level
+/// alone, or one core, makes one queue.
 fn side_by_side(levels: &[Level]) -> Vec<Outcome> {
     let (paced, others): (VecDeque<Level>, VecDeque<Level>) =
         levels.iter().partition(|level| level.keeps_a_pace());
     let waiting = Mutex::new((paced, others));
     let done = Mutex::new(Vec::new());
-    let lane = |first: bool| {
+    let queue = |first: bool| {
         loop {
             let level = {
                 let mut waiting = waiting.lock().unwrap_or_else(PoisonError::into_inner);
@@ -218,10 +218,10 @@ fn side_by_side(levels: &[Level]) -> Vec<Outcome> {
         if levels.len() > 1 && cores > 1 {
             scope.spawn(|| {
                 step::stand_back();
-                lane(false);
+                queue(false);
             });
         }
-        lane(true);
+        queue(true);
     });
     let mut outcomes = done.into_inner().unwrap_or_else(PoisonError::into_inner);
     outcomes.sort_by_key(|outcome| ALL.iter().position(|level| *level == outcome.level));
@@ -363,7 +363,7 @@ impl Level {
             Level::Peers => board_tests("peers", "3 min", "2"),
             Level::Provision => Ok(board_tests("provision", "1 min", "2")?
                 + board_tests("selftest", "5 min", "2")?
-                + board_tests("segment", "2 min", "2")?
+                + board_tests("lan", "2 min", "2")?
                 + board_tests("names", "1 min", "1")?),
             // The Verilated board of the second keeps a core busy, its twins do not.
             Level::Clients => {

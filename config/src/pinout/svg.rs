@@ -73,7 +73,7 @@ pub fn svg(pinout: &Pinout) -> String {
 fn legend(out: &mut String, pinout: &Pinout) {
     let mut x = MARGIN + 8.0;
     for usage in pinout.uses() {
-        dot(out, x, 106.0, usage, Mark::Round);
+        dot(out, x, 106.0, usage, DotShape::Round);
         text(
             out,
             x + 15.0,
@@ -148,12 +148,12 @@ fn draw_pin(out: &mut String, header: &Header, pin: &Pin, middle: f64) {
     let side = if left { -1.0 } else { 1.0 };
     let y = FIRST + (pin.index / 2) as f64 * ROW;
     let x = middle + side * 27.0;
-    let mark = match (pin.index, &pin.same_as) {
-        (0, _) => Mark::Square,
-        (_, Some(_)) => Mark::Echo,
-        (_, None) => Mark::Round,
+    let shape = match (pin.index, &pin.same_as) {
+        (0, _) => DotShape::Square,
+        (_, Some(_)) => DotShape::Echo,
+        (_, None) => DotShape::Round,
     };
-    dot(out, x, y, pin.usage, mark);
+    dot(out, x, y, pin.usage, shape);
     if pin.shared {
         ring(
             out,
@@ -234,7 +234,7 @@ fn draw_pin(out: &mut String, header: &Header, pin: &Pin, middle: f64) {
 
 /// How a pin is drawn.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Mark {
+enum DotShape {
     Round,
     /// Pin 1, as its pad on the board.
     Square,
@@ -242,24 +242,24 @@ enum Mark {
     Echo,
 }
 
-fn dot(out: &mut String, x: f64, y: f64, usage: Use, mark: Mark) {
+fn dot(out: &mut String, x: f64, y: f64, usage: Use, shape: DotShape) {
     let (colour, ink) = colours(usage);
     let edge = if usage == Use::Free {
         "#b3bcc5"
     } else {
         colour
     };
-    let (fill, ink) = match mark {
-        Mark::Echo => ("#ffffff", edge),
-        Mark::Round | Mark::Square => (colour, ink),
+    let (fill, ink) = match shape {
+        DotShape::Echo => ("#ffffff", edge),
+        DotShape::Round | DotShape::Square => (colour, ink),
     };
-    let shape = match mark {
-        Mark::Square => format!(
+    let shape = match shape {
+        DotShape::Square => format!(
             "rect x=\"{}\" y=\"{}\" width=\"17\" height=\"17\"",
             x - 8.5,
             y - 8.5
         ),
-        Mark::Round | Mark::Echo => format!("circle cx=\"{x}\" cy=\"{y}\" r=\"8.8\""),
+        DotShape::Round | DotShape::Echo => format!("circle cx=\"{x}\" cy=\"{y}\" r=\"8.8\""),
     };
     let _ = writeln!(
         out,
@@ -286,7 +286,7 @@ fn ring(out: &mut String, x: f64, y: f64, ink: &str) {
 fn foot(out: &mut String, pinout: &Pinout, height: f64) {
     let y = height - FOOT + 34.0;
     let (usage, label) = &pinout.key;
-    dot(out, MARGIN + 9.0, y - 4.0, *usage, Mark::Round);
+    dot(out, MARGIN + 9.0, y - 4.0, *usage, DotShape::Round);
     let label = if label.is_empty() { "free" } else { label };
     text(
         out,

@@ -47,7 +47,7 @@ const HELP: [&str; 17] = [
     "status        what the machine is doing, and why it stopped",
     "net           frames and refusals by reason",
     "regs [page]   the CSR pages, or the first words of one",
-    "stepgen [n]   positions, rates, timings",
+    "stepgen [n]   positions, velocities, timings",
     "encoder [n]   counts, latches, errors, modes",
     "pwm [n]       periods and modes",
     "gpio          inputs, e-stop, probe",

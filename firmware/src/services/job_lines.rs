@@ -9,7 +9,7 @@ use jobs::executor::Executor;
 use jobs::store::Store;
 use jobs::{Jobs, Outside};
 use wire::Name;
-use wire::jobs::{AXES, Command, End, Entry, NAME, Report, Status, UNATTENDED};
+use wire::jobs::{AXES, End, Entry, JobCommand, NAME, Report, Status, UNATTENDED};
 
 const HELP: [&str; 10] = [
     "job status        the state of the job",
@@ -37,7 +37,7 @@ enum Ask {
     Delete(Name),
     Feed(u16),
     /// A command with flags, and with a name if it is a start.
-    Do(Command, u8, Name),
+    Do(JobCommand, u8, Name),
 }
 
 impl Ask {
@@ -52,21 +52,21 @@ impl Ask {
         let plain = |command| Ok(Ask::Do(command, 0, Name::EMPTY));
         let alone = rest.is_empty();
         Some(match verb {
-            "start" => named(|name| Ask::Do(Command::Start, UNATTENDED, name)),
+            "start" => named(|name| Ask::Do(JobCommand::Start, UNATTENDED, name)),
             "delete" => named(Ask::Delete),
             "feed" => Ok(Ask::Feed(rest.parse().ok()?)),
             "home" => {
                 let flags = UNATTENDED | axes(rest)?;
-                Ok(Ask::Do(Command::Calibrate, flags, Name::EMPTY))
+                Ok(Ask::Do(JobCommand::Calibrate, flags, Name::EMPTY))
             }
-            "here" => Ok(Ask::Do(Command::Here, axes(rest)?, Name::EMPTY)),
+            "here" => Ok(Ask::Do(JobCommand::Here, axes(rest)?, Name::EMPTY)),
             _ if !alone => return None,
             "" | "status" => Ok(Ask::Status),
             "list" => Ok(Ask::List),
             "help" => Ok(Ask::Help),
-            "pause" => plain(Command::Pause),
-            "continue" => plain(Command::Continue),
-            "stop" => plain(Command::Stop),
+            "pause" => plain(JobCommand::Pause),
+            "continue" => plain(JobCommand::Continue),
+            "stop" => plain(JobCommand::Stop),
             _ => return None,
         })
     }
@@ -74,7 +74,7 @@ impl Ask {
     fn need(self) -> Need {
         match self {
             Ask::Help | Ask::Status | Ask::List => Need::Look,
-            Ask::Do(Command::Stop | Command::Pause, ..) => Need::Stop,
+            Ask::Do(JobCommand::Stop | JobCommand::Pause, ..) => Need::Stop,
             Ask::Delete(_) | Ask::Feed(_) | Ask::Do(..) => Need::Change,
         }
     }

@@ -28,7 +28,7 @@ pub const ECHO_MAX: usize = 4 + TOO_LONG.len() + PROMPT.len() + LINE_MAX + 10;
 const BELL: &str = "\x07";
 const ERASE_TO_END: &str = "\x1b[K";
 
-type Line = Vec<u8, LINE_MAX>;
+type InputLine = Vec<u8, LINE_MAX>;
 
 /// What a key completes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -142,7 +142,7 @@ impl Escape {
 /// A client's line.
 #[derive(Clone, Debug)]
 pub struct LineEditor {
-    text: Line,
+    text: InputLine,
     cursor: usize,
     /// Of a line that is too long: there was no room for a character.
     too_long: bool,
@@ -152,11 +152,11 @@ pub struct LineEditor {
     /// The line is complete, and kept until the next byte comes.
     complete: bool,
     /// The last lines, newest first.
-    kept: Vec<Line, KEPT>,
+    kept: Vec<InputLine, KEPT>,
     /// How many lines back the user looks; 0 is the line of their own.
     back: usize,
     /// The line of their own meanwhile.
-    own: Line,
+    own: InputLine,
 }
 
 impl Default for LineEditor {
@@ -325,7 +325,7 @@ impl LineEditor {
             return;
         }
         self.go(from, out);
-        let mut rest = Line::new();
+        let mut rest = InputLine::new();
         // Both are parts of a line.
         let _ = rest.extend_from_slice(self.text.get(to..).unwrap_or(&[]));
         self.text.truncate(from);

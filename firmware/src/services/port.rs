@@ -128,7 +128,7 @@ struct Peer {
 
 /// What a TCP segment says in its first bytes; smoltcp checks the rest.
 #[derive(Clone, Copy, Debug)]
-struct Segment {
+struct TcpSegment {
     mac: [u8; 6],
     peer: Peer,
     to: u16,
@@ -136,12 +136,12 @@ struct Segment {
     flags: u8,
 }
 
-impl Segment {
+impl TcpSegment {
     fn parse(frame: &[u8]) -> Option<Self> {
         let tcp = frame.get(12..14)? == [8, 0] && *frame.get(23)? == 6;
         let at = 14 + usize::from(frame.get(14)? & 15) * 4;
         let header = frame.get(at..at + 14).filter(|_| tcp)?;
-        Some(Segment {
+        Some(TcpSegment {
             mac: *frame.get(6..12)?.first_chunk()?,
             peer: Peer {
                 ip: *frame.get(26..30)?.first_chunk()?,
@@ -239,7 +239,7 @@ impl<'m> Connection<'m> {
     }
 
     /// Is this a reset that its sender guessed?
-    fn guessed(&mut self, segment: &Segment) -> bool {
+    fn guessed(&mut self, segment: &TcpSegment) -> bool {
         segment.flags & RST != 0 && segment.sequence != self.next_number()
     }
 
@@ -451,7 +451,7 @@ impl<'m> Port<'m> {
             let stack = &mut self.stack;
             return self.status.frame((port, frame), stack, instant, out);
         }
-        let segment = Segment::parse(frame);
+        let segment = TcpSegment::parse(frame);
         let placed = segment.as_ref().and_then(|segment| {
             let index = self.place_for(segment, ms)?;
             Some((*segment, index))
@@ -525,7 +525,7 @@ impl<'m> Port<'m> {
     }
 
     /// The connection that this segment is for. One that opens another gets a place that listens.
-    fn place_for(&mut self, segment: &Segment, ms: u32) -> Option<usize> {
+    fn place_for(&mut self, segment: &TcpSegment, ms: u32) -> Option<usize> {
         let (opens, to) = (segment.opens(), segment.to);
         let known = self
             .connections

@@ -293,11 +293,15 @@ fn harmless(request: Request) -> bool {
     match request {
         Request::Report | Request::List { .. } | Request::GetMachine => true,
         Request::Command { code, .. } => {
-            let command = jobs::Command::from_code(code);
-            matches!(command, Some(jobs::Command::Stop | jobs::Command::Pause))
+            let command = jobs::JobCommand::from_code(code);
+            matches!(
+                command,
+                Some(jobs::JobCommand::Stop | jobs::JobCommand::Pause)
+            )
         }
         Request::Segment { command, .. } => {
-            ::jobs::fpgag::Command::from_code(command) == Some(::jobs::fpgag::Command::Stop)
+            ::jobs::fpgag::FpgagCommand::from_code(command)
+                == Some(::jobs::fpgag::FpgagCommand::Stop)
         }
         _ => false,
     }

@@ -280,7 +280,7 @@ impl Bench {
 
     /// A command block like a host's, with different errors.
     fn exchange(&mut self, peer: Peer, input: &mut ByteReader) {
-        let [flags, ahead, rates] = input.array();
+        let [flags, ahead, velocities] = input.array();
         let session = self.machine.server.session();
         self.sequence = self.sequence.wrapping_add(1);
         let mut command = Command {
@@ -303,7 +303,10 @@ impl Bench {
             ));
         }
         // At most 14 kHz: pulses are expensive, too.
-        command.stepgen = [(Velocity(i32::from(rates as i8) << 13), Accel::UNLIMITED); 16];
+        command.stepgen = [(
+            Velocity(i32::from(velocities as i8) << 13),
+            Accel::UNLIMITED,
+        ); 16];
         let channels = watched::ident(&self.machine).channels;
         let mut buffer = [0; REQUEST_OVERHEAD + wire::exchange::COMMAND_MAX];
         let request = command.emit_request(channels, &mut buffer);

@@ -167,13 +167,13 @@ impl Encoder {
 
         let edge = edge_before(now, status.edge_time);
         let timeout = self.vel_timeout.get();
-        let rate = self
+        let counts_per_s = self
             .speed
             .update(moved, edge, now, timeout, period.clock_hz);
-        self.velocity.set(rate / scale);
-        self.velocity_rpm.set(rate / scale * 60.0);
+        self.velocity.set(counts_per_s / scale);
+        self.velocity_rpm.set(counts_per_s / scale * 60.0);
         let since = self.speed.since(now, period.clock_hz);
-        let beyond = (rate * since).clamp(-1.0, 1.0);
+        let beyond = (counts_per_s * since).clamp(-1.0, 1.0);
         self.position_interp.set((counts as f64 + beyond) / scale);
     }
 

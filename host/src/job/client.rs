@@ -13,7 +13,7 @@ use std::net::{Shutdown, SocketAddr, SocketAddrV4, TcpStream};
 use std::time::{Duration, Instant};
 use wire::crc::crc32;
 use wire::jobs::{
-    Command, DATA, Entry, FRAME, Field, Frame, MachineConfig, NAME, Op, Report, Request, Status,
+    DATA, Entry, FRAME, Field, Frame, JobCommand, MachineConfig, NAME, Op, Report, Request, Status,
     VERSION, Welcome, word,
 };
 use wire::{DEFAULT_PORT, Name};
@@ -476,14 +476,14 @@ impl Board {
     }
 
     /// One of XYPenPlotter's codes that needs no more than itself.
-    pub fn command(&mut self, code: Command) -> Result<Report, JobError> {
+    pub fn command(&mut self, code: JobCommand) -> Result<Report, JobError> {
         self.commanded(code, 0, 0, Name::EMPTY)
     }
 
     /// Starts a job. `keepalive`: how long we may be silent; none: it goes on without us.
     pub fn start(&mut self, name: &str, keepalive: Option<Duration>) -> Result<Report, JobError> {
         let (flags, millis) = attendance(keepalive);
-        self.commanded(Command::Start, flags, millis, self::name(name)?)
+        self.commanded(JobCommand::Start, flags, millis, self::name(name)?)
     }
 
     /// Finds the switches of these axes; of none: of all that have one.
@@ -493,13 +493,18 @@ impl Board {
         keepalive: Option<Duration>,
     ) -> Result<Report, JobError> {
         let (flags, millis) = attendance(keepalive);
-        self.commanded(Command::Calibrate, flags | bits(axes), millis, Name::EMPTY)
+        self.commanded(
+            JobCommand::Calibrate,
+            flags | bits(axes),
+            millis,
+            Name::EMPTY,
+        )
     }
 
     /// These axes, which have no switch, are at 0 where they stand; of none: all that have no
     /// switch.
     pub fn here(&mut self, axes: [bool; wire::jobs::AXES]) -> Result<Report, JobError> {
-        self.commanded(Command::Here, bits(axes), 0, Name::EMPTY)
+        self.commanded(JobCommand::Here, bits(axes), 0, Name::EMPTY)
     }
 
     /// How fast, in percent of what the job says.
@@ -510,7 +515,7 @@ impl Board {
 
     fn commanded(
         &mut self,
-        code: Command,
+        code: JobCommand,
         flags: u8,
         keepalive: u16,
         name: Name,
@@ -527,14 +532,14 @@ impl Board {
 
 /// Stops or pauses whatever the board executes, also while another client has the line, and without
 /// a key.
-pub fn halt(at: SocketAddrV4, code: Command) -> Result<Report, JobError> {
+pub fn halt(at: SocketAddrV4, code: JobCommand) -> Result<Report, JobError> {
     halt_within(at, code, PATIENCE)
 }
 
 /// As [`halt`], giving up after this long.
 pub fn halt_within(
     at: SocketAddrV4,
-    code: Command,
+    code: JobCommand,
     patience: Duration,
 ) -> Result<Report, JobError> {
     let began = Instant::now();
@@ -562,7 +567,7 @@ pub fn halt_within(
 /// connection.
 fn try_to_halt(
     at: SocketAddrV4,
-    code: Command,
+    code: JobCommand,
     patience: Duration,
 ) -> Result<Result<Report, JobError>, Broken> {
     let stream = TcpStream::connect_timeout(&SocketAddr::V4(at), patience).map_err(Broken::Io)?;

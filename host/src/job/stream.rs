@@ -27,7 +27,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use wire::describe::{FEATURE_JOBS, JobsState};
 use wire::exchange::status_words;
-use wire::jobs::{Command, FRAME, Op, Request, SILENCE_SECONDS, State, Status};
+use wire::jobs::{FRAME, JobCommand, Op, Request, SILENCE_SECONDS, State, Status};
 use wire::regmap::segments::{BEGUN, CURRENT, LEFT, PUSH, SHAPE, STATUS};
 use wire::{MAX_WORDS, Name, Packet, ReplyWriter, etherbone, map, regmap};
 
@@ -204,7 +204,7 @@ impl Streamer {
         let requests = [
             Request::Hello { client: PROGRAM },
             Request::Command {
-                code: Command::Stop.code(),
+                code: JobCommand::Stop.code(),
                 flags: 0,
                 keepalive: 0,
                 name: Name::EMPTY,

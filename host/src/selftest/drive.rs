@@ -25,7 +25,7 @@ const EVERY: Duration = Duration::from_millis(2);
 /// For a level to get through a buffer, a divider and a debounce of 0.
 const SETTLE: Duration = Duration::from_millis(2);
 /// Steps a second into an encoder. Slow for a jumper, and a thousand steps are a fifth of a second.
-const RATE: f64 = 5_000.0;
+const VELOCITY: f64 = 5_000.0;
 /// Steps a second into an input: four exchanges see each level.
 const SLOW: f64 = 100.0;
 /// Levels a general input is shown.
@@ -707,11 +707,11 @@ impl<'t> Driven<'t> {
 
     fn way(&mut self, n: usize, steps: u32, sign: f64) -> Result<(i64, [i64; 16]), DriveError> {
         let begin = self.settled()?;
-        let accel = Accel::from_steps(RATE * 50.0, self.hz);
-        self.command.stepgen[n] = (Velocity::from_hz(sign * RATE, self.hz), accel);
+        let accel = Accel::from_steps(VELOCITY * 50.0, self.hz);
+        self.command.stepgen[n] = (Velocity::from_hz(sign * VELOCITY, self.hz), accel);
         let pulses = |status: &Status| status.stepgen[n].0.pulses() - begin.stepgen[n].0.pulses();
         let deadline =
-            self.time.now() + Duration::from_secs_f64(2.0 + 3.0 * f64::from(steps) / RATE);
+            self.time.now() + Duration::from_secs_f64(2.0 + 3.0 * f64::from(steps) / VELOCITY);
         while pulses(&self.live()?).abs() < i64::from(steps) && self.time.now() < deadline {}
         self.command.stepgen[n].0 = Velocity(0);
         let mut end = self.settled()?;

@@ -14,7 +14,7 @@ use crate::words::Words;
 use crate::{Outside, fpgag};
 use motion::segment::AXES;
 use wire::Name;
-use wire::jobs::{self, Command, End, Status};
+use wire::jobs::{self, End, JobCommand, Status};
 
 /// 5 s: a client that sends words sends the next ones long before that.
 const WORDS_KEEPALIVE_MS: u16 = 5000;
@@ -30,15 +30,15 @@ impl Executor {
         now: u64,
         out: &mut impl Outside,
     ) -> Result<(), Status> {
-        let command = Command::from_code(code).ok_or(Status::UnknownCode)?;
+        let command = JobCommand::from_code(code).ok_or(Status::UnknownCode)?;
         let clock_hz = self.board.clock_hz;
         let starter = || Starter::new(client, (flags, keepalive), clock_hz, now);
         match command {
-            Command::Welcome => {}
-            Command::Stop => self.stop(End::Stopped, out),
-            Command::Continue | Command::Unpause => self.hold(false, out)?,
-            Command::Pause => self.hold(true, out)?,
-            Command::Start => {
+            JobCommand::Welcome => {}
+            JobCommand::Stop => self.stop(End::Stopped, out),
+            JobCommand::Continue | JobCommand::Unpause => self.hold(false, out)?,
+            JobCommand::Pause => self.hold(true, out)?,
+            JobCommand::Start => {
                 let job = store.get(name)?;
                 let starter = starter()?;
                 self.may_begin(out)?;
@@ -46,7 +46,7 @@ impl Executor {
                 self.path.program.job(store, job);
                 self.check = Check::new(self.known.homed);
             }
-            Command::Calibrate => {
+            JobCommand::Calibrate => {
                 let starter = starter()?;
                 let axes = self.asked(flags, Status::NoSwitch, |axis| axis.home.is_some())?;
                 self.may_begin(out)?;
@@ -54,7 +54,7 @@ impl Executor {
                 self.begin(order, Phase::Open(0));
                 self.path.program.only(Instruction::Home { axes });
             }
-            Command::Here => {
+            JobCommand::Here => {
                 let axes = self.asked(flags, Status::HasSwitch, |axis| axis.home.is_none())?;
                 self.may_begin(out)?;
                 self.here(axes, out)?;
@@ -125,10 +125,10 @@ impl Executor {
         now: u64,
         out: &mut impl Outside,
     ) -> Result<u32, Status> {
-        let command = fpgag::Command::from_code(command).ok_or(Status::UnknownCode)?;
+        let command = fpgag::FpgagCommand::from_code(command).ok_or(Status::UnknownCode)?;
         if self.busy() && !self.order.streams() {
             // Whatever moves, a client that says stop means it.
-            if command == fpgag::Command::Stop {
+            if command == fpgag::FpgagCommand::Stop {
                 self.stop(End::Stopped, out);
                 return Ok(0);
             }
@@ -136,15 +136,15 @@ impl Executor {
         }
         let machine = self.machine.as_ref().ok_or(Status::NoMachine)?;
         match command {
-            fpgag::Command::Empty => Ok(0),
-            fpgag::Command::Status => Ok(self.words.as_ref().map_or(0, Words::status)),
-            fpgag::Command::Stop => {
+            fpgag::FpgagCommand::Empty => Ok(0),
+            fpgag::FpgagCommand::Status => Ok(self.words.as_ref().map_or(0, Words::status)),
+            fpgag::FpgagCommand::Stop => {
                 if let Some(words) = &mut self.words {
                     words.executes = false;
                 }
                 Ok(0)
             }
-            fpgag::Command::Gcode => {
+            fpgag::FpgagCommand::Gcode => {
                 let limits = limits(machine, &self.path.limits(), self.board.clock_hz);
                 if !self.busy() && self.words.is_none() {
                     let look = self.board.inside.look(out);
@@ -156,7 +156,7 @@ impl Executor {
                 queue.set_limits(limits);
                 Ok(queue.gcode(client, form, words.iter()))
             }
-            fpgag::Command::Start => {
+            fpgag::FpgagCommand::Start => {
                 if let (true, Some(words)) = (self.busy(), &mut self.words) {
                     words.executes = true;
                     return Ok(0);

@@ -13,7 +13,7 @@ const SEGMENTS: usize = 128;
 
 /// An instruction's place in its program.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Mark {
+struct Progress {
     /// Its line.
     line: u32,
     /// Nominal time at its beginning, in microseconds.
@@ -36,7 +36,7 @@ pub struct SoFar {
 /// What was given to planner and core.
 #[derive(Debug)]
 pub struct Reached {
-    instructions: [Mark; INSTRUCTIONS],
+    instructions: [Progress; INSTRUCTIONS],
     count: u32,
     segments: [(u32, u64); SEGMENTS],
     pushed: u32,
@@ -54,7 +54,7 @@ impl Reached {
     /// Nothing.
     pub const fn new() -> Self {
         Reached {
-            instructions: [Mark { line: 0, micros: 0 }; INSTRUCTIONS],
+            instructions: [Progress { line: 0, micros: 0 }; INSTRUCTIONS],
             count: 0,
             segments: [(0, 0); SEGMENTS],
             pushed: 0,
@@ -87,7 +87,7 @@ impl Reached {
         let number = self.count;
         if let Some(place) = self.instructions.get_mut(number as usize % INSTRUCTIONS) {
             let micros = self.micros;
-            *place = Mark { line, micros };
+            *place = Progress { line, micros };
         }
         self.count = number.wrapping_add(1);
         number

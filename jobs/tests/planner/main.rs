@@ -426,7 +426,7 @@ fn each_bound_of_a_setup_is_where_the_refusal_says() {
     };
     assert!(fast(187_500_000).is_ok());
     assert_eq!(fast(187_500_001), Err(SetupError::Speed(0)));
-    // A unit of rate is 34.9 nm/s, and two of them are kept back.
+    // A unit of velocity is 34.9 nm/s, and two of them are kept back.
     let slow = |nm_per_s| limits_of(|s| s.axes[0].max_speed = nm_per_s);
     assert_eq!(slow(70), Err(SetupError::Speed(0)));
     assert!(slow(71).is_ok());

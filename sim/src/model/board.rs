@@ -2,14 +2,14 @@
 //!
 //! Time passes in one of two ways, with the same bits. [`Board::clock`] makes one rising edge of
 //! everything, with the register bus as it stands before it. [`Board::run`] goes from event to
-//! event: every channel is a *lane* that knows until when it is quiet, and is left alone until
-//! then. What all lanes share (gate, stop, probe, strobes) changes seldom; when it does, one edge
-//! of everything is made.
+//! event: every channel knows until when it is quiet, and is left alone until then. What all
+//! channels share (gate, stop, probe, strobes) changes seldom; when it does, one edge of everything
+//! is made.
 
+mod channels;
 mod edge;
 mod events;
 mod frames;
-mod lanes;
 mod registers;
 
 use super::fast_path::FastPath;
@@ -18,8 +18,8 @@ use super::segments::{Segments, Told};
 use super::timebase::Timebase;
 use crate::pads;
 use crate::soc::Pins;
-use frames::Line;
-use lanes::{EncoderLane, Hub, PwmLane, StepLane};
+use channels::{EncoderChannel, Hub, PwmChannel, StepgenChannel};
+use frames::Transmitter;
 use registers::Regs;
 use wire::describe::Channels;
 use wire::regmap;
@@ -85,7 +85,7 @@ pub struct Bus {
     pub word: Option<Word>,
 }
 
-/// What all lanes see alike.
+/// What all channels see alike.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Common {
     gate: bool,
@@ -97,7 +97,7 @@ struct Common {
     job: Told,
 }
 
-/// What happens to all lanes in one clock.
+/// What happens to all channels in one clock.
 #[derive(Clone, Copy, Debug, Default)]
 struct Strobes {
     commit: bool,
@@ -122,13 +122,13 @@ pub struct Board {
     admission: RxAdmission,
     fast_path: FastPath,
     /// The way into the answer's slot, and the slot.
-    line: Line,
+    line: Transmitter,
     answer: Vec<u32>,
     /// The word that the fast path read a clock ago.
     gathered: u32,
-    steps: Vec<StepLane>,
-    encoders: Vec<EncoderLane>,
-    pwms: Vec<PwmLane>,
+    steps: Vec<StepgenChannel>,
+    encoders: Vec<EncoderChannel>,
+    pwms: Vec<PwmChannel>,
     /// A bus write on its way to the registers.
     write: Option<(u32, u32)>,
     now_caught: u64,
@@ -164,14 +164,14 @@ impl Board {
         board.hub.at = clock;
         board.segments_at = clock;
         board.hub.timebase = Timebase::at(clock);
-        for lane in &mut board.steps {
-            lane.at = clock;
+        for channel in &mut board.steps {
+            channel.at = clock;
         }
-        for lane in &mut board.encoders {
-            lane.at = clock;
+        for channel in &mut board.encoders {
+            channel.at = clock;
         }
-        for lane in &mut board.pwms {
-            lane.at = clock;
+        for channel in &mut board.pwms {
+            channel.at = clock;
         }
         board.next.fill(clock + 1);
         board.full = clock + 1;
@@ -181,11 +181,11 @@ impl Board {
     /// As if a stepgen had emitted, and an encoder counted, this much. For counters that are to
     /// pass their ends.
     pub fn preset(&mut self, n: usize, pulses: i32, count: i32) {
-        if let Some(lane) = self.steps.get_mut(n) {
-            lane.core.preset(pulses);
+        if let Some(channel) = self.steps.get_mut(n) {
+            channel.core.preset(pulses);
         }
-        if let Some(lane) = self.encoders.get_mut(n) {
-            lane.core.preset(count);
+        if let Some(channel) = self.encoders.get_mut(n) {
+            channel.core.preset(count);
         }
     }
 
@@ -198,10 +198,10 @@ impl Board {
             dir_n: ((1u32 << c.stepgens) - 1) as u16,
             ..Pins::default()
         });
-        let lanes = usize::from(c.stepgens) + usize::from(c.encoders) + usize::from(c.pwms);
+        let channels = usize::from(c.stepgens) + usize::from(c.encoders) + usize::from(c.pwms);
         Board {
             clock: 0,
-            next: vec![1; 1 + lanes],
+            next: vec![1; 1 + channels],
             full: 1,
             common: Common::default(),
             regs: Regs::new(build.jobs.into()),
@@ -210,12 +210,12 @@ impl Board {
             segments_at: 0,
             admission: RxAdmission::default(),
             fast_path: FastPath::default(),
-            line: Line::Until(0),
+            line: Transmitter::Until(0),
             answer: vec![0; frames::SLOT],
             gathered: 0,
-            steps: vec![StepLane::default(); c.stepgens.into()],
-            encoders: vec![EncoderLane::default(); c.encoders.into()],
-            pwms: vec![PwmLane::default(); c.pwms.into()],
+            steps: vec![StepgenChannel::default(); c.stepgens.into()],
+            encoders: vec![EncoderChannel::default(); c.encoders.into()],
+            pwms: vec![PwmChannel::default(); c.pwms.into()],
             write: None,
             now_caught: 0,
             beats: 0,
@@ -277,10 +277,10 @@ impl Board {
                 | (old.enc_b ^ pins.enc_b)
                 | (old.enc_i ^ pins.enc_i)
                 | (old.enc_mask ^ pins.enc_mask);
-            for (n, lane) in self.encoders.iter_mut().enumerate() {
+            for (n, channel) in self.encoders.iter_mut().enumerate() {
                 if moved >> n & 1 != 0 {
-                    lane.catch_up(self.clock, n, &self.regs);
-                    lane.pins = [pins.enc_a, pins.enc_b, pins.enc_i, pins.enc_mask]
+                    channel.catch_up(self.clock, n, &self.regs);
+                    channel.pins = [pins.enc_a, pins.enc_b, pins.enc_i, pins.enc_mask]
                         .map(|w| w >> n & 1 != 0);
                     self.next[1 + self.steps.len() + n] = self.clock + 1;
                 }
@@ -288,10 +288,10 @@ impl Board {
         }
         if old.step_index != pins.step_index {
             let moved = old.step_index ^ pins.step_index;
-            for (n, lane) in self.steps.iter_mut().enumerate() {
+            for (n, channel) in self.steps.iter_mut().enumerate() {
                 if moved >> n & 1 != 0 {
-                    lane.catch_up(self.clock, n, &self.regs, &self.common);
-                    lane.pin = pins.step_index >> n & 1 != 0;
+                    channel.catch_up(self.clock, n, &self.regs, &self.common);
+                    channel.pin = pins.step_index >> n & 1 != 0;
                     self.next[1 + n] = self.clock + 1;
                 }
             }
@@ -330,7 +330,7 @@ impl Board {
             reset_pin,
             estop,
             probe: self.hub.probe,
-            all_stopped: self.steps.iter().all(|lane| lane.core.stopped()),
+            all_stopped: self.steps.iter().all(|channel| channel.core.stopped()),
             job: Told::default(),
         }
     }
@@ -342,17 +342,18 @@ impl Board {
             segments.skip(to - self.segments_at);
             self.segments_at = to;
         }
-        for (n, lane) in self.steps.iter_mut().enumerate() {
-            lane.catch_up(to, n, regs, common);
+        for (n, channel) in self.steps.iter_mut().enumerate() {
+            channel.catch_up(to, n, regs, common);
         }
-        for (n, lane) in self.encoders.iter_mut().enumerate() {
-            lane.catch_up(to, n, regs);
+        for (n, channel) in self.encoders.iter_mut().enumerate() {
+            channel.catch_up(to, n, regs);
         }
-        for (n, lane) in self.pwms.iter_mut().enumerate() {
-            if lane.at < to {
-                lane.core
-                    .skip(to - lane.at, &regs.pwm_input(n, common, false));
-                lane.at = to;
+        for (n, channel) in self.pwms.iter_mut().enumerate() {
+            if channel.at < to {
+                channel
+                    .core
+                    .skip(to - channel.at, &regs.pwm_input(n, common, false));
+                channel.at = to;
             }
         }
     }

@@ -7,9 +7,9 @@ use crate::board::Clockwork;
 use crate::environment::PinEnvironment;
 use crate::exchange::{Meter, wants_reply};
 use crate::faults::{Plan, Script};
+use crate::lan_segment::{BOARD_PORT, Connection, HOST_IP};
 use crate::report::{FrameCounts, Report};
 use crate::rig::Rig;
-use crate::segment::{BOARD_PORT, Connection, HOST_IP};
 use crate::soc::Silicon;
 
 /// The service of the board that a datagram is for.

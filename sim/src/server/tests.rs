@@ -75,7 +75,7 @@ fn serve(
 ) {
     let mut board = Board::new(Echo::default(), 60_000_000, Plant::default());
     board.reset(|_| {});
-    let rig = Rig::around(board, crate::segment::BOARD_IP);
+    let rig = Rig::around(board, crate::lan_segment::BOARD_IP);
     let any: SocketAddr = "127.0.0.1:0".parse().unwrap();
     let options = Options {
         udp: any,

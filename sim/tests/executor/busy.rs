@@ -3,14 +3,14 @@
 
 use crate::lan::*;
 use crate::rig::*;
+use sim::lan_segment::Connection;
 use sim::plant::Plant;
-use sim::segment::Connection;
 use wire::Name;
 use wire::jobs::{
-    self, Command, End, FRAME, Frame, Op, Report, Request, SILENCE_SECONDS, State, Status,
+    self, End, FRAME, Frame, JobCommand, Op, Report, Request, SILENCE_SECONDS, State, Status,
 };
 
-fn command(code: Command) -> Request<'static> {
+fn command(code: JobCommand) -> Request<'static> {
     Request::Command {
         code: code.code(),
         flags: 0,
@@ -29,7 +29,7 @@ struct Held {
 impl Held {
     /// Another client greets the board, and stops the job.
     fn is_stopped_by_another(&mut self) {
-        let answers = self.knock(&[Request::Hello { client: 10 }, command(Command::Stop)]);
+        let answers = self.knock(&[Request::Hello { client: 10 }, command(JobCommand::Stop)]);
         assert_eq!(answers.last().map(|answer| answer.1), Some(Status::Normal));
         self.run(1000);
         assert_eq!(self.state(), State::Stopped);
@@ -118,7 +118,7 @@ fn statuses(answers: &[(Op, Status, Vec<u8>)]) -> Vec<(Op, Status)> {
 #[test]
 fn stop_is_taken_while_a_stranger_holds_the_line() {
     let mut held = held();
-    let answers = held.knock(&[Request::Hello { client: 10 }, command(Command::Stop)]);
+    let answers = held.knock(&[Request::Hello { client: 10 }, command(JobCommand::Stop)]);
     let [
         (Op::Hello, Status::Busy, _),
         (Op::Command, Status::Normal, report),
@@ -141,14 +141,14 @@ fn stop_is_taken_while_a_stranger_holds_the_line() {
 #[test]
 fn pause_is_taken_without_a_word_of_greeting_and_stop_behind_it() {
     let mut held = held();
-    let answers = held.knock(&[command(Command::Pause)]);
+    let answers = held.knock(&[command(JobCommand::Pause)]);
     assert_eq!(
         statuses(&answers),
         [(Op::Hello, Status::Busy), (Op::Command, Status::Normal)]
     );
     held.run(1000);
     assert_eq!(held.state(), State::Paused);
-    let answers = held.knock(&[command(Command::Stop)]);
+    let answers = held.knock(&[command(JobCommand::Stop)]);
     assert_eq!(answers.last().map(|answer| answer.1), Some(Status::Normal));
     held.run(1000);
     assert_eq!(held.state(), State::Stopped);
@@ -169,10 +169,10 @@ fn nothing_else_is_done_for_a_second_client() {
     let name = Name::new("job").unwrap();
     let long = [7; jobs::DATA];
     for request in [
-        command(Command::Continue),
-        command(Command::Unpause),
-        command(Command::Calibrate),
-        command(Command::Start),
+        command(JobCommand::Continue),
+        command(JobCommand::Unpause),
+        command(JobCommand::Calibrate),
+        command(JobCommand::Start),
         Request::Report,
         Request::Commit,
         Request::Delete { name },
@@ -203,7 +203,7 @@ fn nothing_else_is_done_for_a_second_client() {
 fn a_frame_that_is_none_stops_nothing_and_is_the_last_of_its_connection() {
     let mut held = held();
     let mut out = [0; FRAME];
-    let length = command(Command::Stop).emit(1, &mut out);
+    let length = command(JobCommand::Stop).emit(1, &mut out);
     for at in 0..length {
         let mut bytes = out[..length].to_vec();
         bytes[at] ^= 1 << (at % 8);

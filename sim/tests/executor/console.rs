@@ -120,7 +120,7 @@ fn switches_are_found_from_the_console_of_all_axes_or_of_some() {
 }
 
 #[test]
-fn what_the_desk_refuses_the_console_refuses_in_the_same_words() {
+fn what_the_job_server_refuses_the_console_refuses_in_the_same_words() {
     let mut rig = Rig::new(Plant::direct(0));
     rig.send("x", &file(&program("G1 X9 F6000\nM2\n")));
     let both = |rig: &mut Rig, line: &str, code: u8, name: &str, status: Status| {

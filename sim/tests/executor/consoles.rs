@@ -2,8 +2,8 @@
 
 use crate::lan::*;
 use crate::rig::*;
+use sim::lan_segment::{CONSOLE_PORT, Connection};
 use sim::plant::Plant;
-use sim::segment::{CONSOLE_PORT, Connection};
 use wire::auth::{EXAMPLE_KEY, Purpose};
 use wire::jobs::Status;
 

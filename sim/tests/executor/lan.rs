@@ -1,7 +1,7 @@
 //! A board with jobs and its clients on a simulated network.
 
 use crate::rig::*;
-use sim::segment::{BOARD_IP, Connection, LanSegment};
+use sim::lan_segment::{BOARD_IP, Connection, LanSegment};
 use wire::jobs::{FRAME, Frame, Op, PORT, Request, Status};
 
 /// Where TCP has its ports in a frame without IP options.

@@ -26,12 +26,12 @@ fn heavy(accel: u64) -> MachineConfig {
 }
 
 /// Steps/s.
-fn rates(rig: &mut Rig) -> [f64; AXES] {
+fn velocities(rig: &mut Rig) -> [f64; AXES] {
     let board = &mut rig.machine.board;
     board.strobe(timebase::STROBE_SAMPLE);
     core::array::from_fn(|axis| {
-        let rate = board.latched(status::STEPGEN0_VELOCITY + axis * STATUS_STEPGEN) as i32;
-        f64::from(rate) * CLOCK as f64 / 2f64.powi(32)
+        let velocity = board.latched(status::STEPGEN0_VELOCITY + axis * STATUS_STEPGEN) as i32;
+        f64::from(velocity) * CLOCK as f64 / 2f64.powi(32)
     })
 }
 
@@ -58,12 +58,12 @@ fn brakes_as_configured(rig: &mut Rig, accel: u64) {
     while !stopping(rig) {
         rig.run(MS / 10);
     }
-    let (from, speeds) = (rig.pins(), rates(rig));
+    let (from, speeds) = (rig.pins(), velocities(rig));
     assert!(speeds[0] > 9000.0, "not at speed: {speeds:?}");
     let steps = accel as f64 * 80.0;
     let longest = speeds.iter().fold(0.0, |t: f64, v| t.max(v.abs() / steps));
     rig.run((longest * CLOCK as f64) as u64 + MS);
-    assert_eq!(rates(rig), [0.0; AXES], "moves on after {longest} s");
+    assert_eq!(velocities(rig), [0.0; AXES], "moves on after {longest} s");
     let to = rig.pins();
     for axis in 0..AXES {
         let way = (to[axis] - from[axis]).abs() as f64;

@@ -9,7 +9,7 @@ of a G1, and an operator puts it right.
   FERROCNC_MEND      what to say there when the machine stands: plug, or nothing
 
 headless.py of the mill does the work. result.json says in the board's own clocks when what happened
-(`marks`), so that the pins can be looked at for every stretch of it.
+(`progress`), so that the pins can be looked at for every stretch of it.
 """
 
 import json
@@ -56,10 +56,10 @@ class Board:
 
 
 def run(machine, board, result):
-    marks = result["marks"]
+    progress = result["progress"]
 
-    def mark(name):
-        marks[name] = board.clock()
+    def reached(name):
+        progress[name] = board.clock()
 
     def pins():
         return {
@@ -72,15 +72,15 @@ def run(machine, board, result):
     if TROUBLE == "none":
         machine.pass_periods(LOOK)
         result["back"] = pins()
-        mark("enable")
+        reached("enable")
     machine.start()
     if TROUBLE == "none":
         machine.pass_periods(LOOK)
-        mark("enabled")
+        reached("enabled")
     machine.home()
     machine.begin()
     if TROUBLE == "none":
-        return finish(machine, result, mark, pins)
+        return finish(machine, result, reached, pins)
     machine.wait(lambda s: abs(s.joint[0]["velocity"]) > AT_SPEED, "X is at speed")
     machine.poll()
     result["heard_before"] = list(machine.heard)
@@ -88,18 +88,18 @@ def run(machine, board, result):
 
     if TROUBLE == "kill":
         victim = subprocess.run(["pgrep", "-x", "rtapi_app"], capture_output=True, text=True, check=True).stdout
-        mark("trouble")
+        reached("trouble")
         os.kill(int(victim), signal.SIGKILL)
         return
-    marks["trouble"] = int(board.say(f"fault {TROUBLE}")["clock"])
+    progress["trouble"] = int(board.say(f"fault {TROUBLE}")["clock"])
     machine.wait(lambda s: s.task_state == linuxcnc.STATE_ESTOP, "the machine is off", keep_on=False)
     # A board that hears nothing has no time of its own in lockstep: it comes to rest in this one.
-    left = marks["trouble"] + SETTLED - board.clock()
+    left = progress["trouble"] + SETTLED - board.clock()
     if left > 0:
         board.say(f"run {left}")
     machine.poll()
     result["off"] = pins()
-    mark("mend")
+    reached("mend")
     if MEND:
         board.say(f"fault {MEND}")
     machine.wait(lambda s: headless.getp("ferrocnc.0.packet-error") == "FALSE", "the board answers again", keep_on=False)
@@ -109,23 +109,23 @@ def run(machine, board, result):
     result["back"] = pins()
     machine.heard.clear()
 
-    mark("enable")
+    reached("enable")
     machine.start()
     machine.pass_periods(LOOK)
-    mark("enabled")
+    reached("enabled")
     result["enabled"] = pins()
     machine.home()
     machine.begin()
-    finish(machine, result, mark, pins)
+    finish(machine, result, reached, pins)
 
 
-def finish(machine, result, mark, pins):
+def finish(machine, result, reached, pins):
     machine.wait(
         lambda s: s.interp_state == linuxcnc.INTERP_IDLE and s.inpos and s.exec_state == linuxcnc.EXEC_DONE,
         "the program ends",
     )
     machine.rest()
-    mark("end")
+    reached("end")
     result["end"] = pins()
     machine.poll()
     result["heard_after"] = list(machine.heard)
@@ -137,7 +137,7 @@ def main():
     os.chmod(headless.SAMPLES, 0o666)
     recorder = subprocess.Popen(["halsampler", "-t", headless.SAMPLES])
     machine, board = headless.Machine(), Board()
-    result = {"exit": 0, "text": "the machine was put right and the program ran to its end", "marks": {}}
+    result = {"exit": 0, "text": "the machine was put right and the program ran to its end", "progress": {}}
     try:
         run(machine, board, result)
     except headless.GiveUp as reason:

@@ -73,8 +73,8 @@ fn measure(machine: &mut BenchMachine, periods: usize) -> Measured {
         let before = machine.ways();
         machine.run_millis(1);
         for n in 0..periods {
-            for (rate, accel) in command.stepgen.iter_mut().take(channels.stepgens.into()) {
-                *rate = Velocity::from_hz(
+            for (velocity, accel) in command.stepgen.iter_mut().take(channels.stepgens.into()) {
+                *velocity = Velocity::from_hz(
                     reach * (2.0 * random.random::<f64>() - 1.0),
                     machine.clock_hz(),
                 );

@@ -10,7 +10,7 @@ use host::keys::Keys;
 use std::io::{Read as _, Write as _};
 use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpStream};
 use std::time::Duration;
-use wire::jobs::{Command as Code, End, FRAME, Request, State};
+use wire::jobs::{End, FRAME, JobCommand, Request, State};
 use wire::{Name, Refusal, map};
 
 #[test]
@@ -50,7 +50,10 @@ fn stops_beside(plotter: Plotter) {
     while report(&mut holder).state != State::Paused {
         std::thread::sleep(Duration::from_millis(20));
     }
-    for (code, state) in [(Code::Pause, State::Paused), (Code::Stop, State::Stopping)] {
+    for (code, state) in [
+        (JobCommand::Pause, State::Paused),
+        (JobCommand::Stop, State::Stopping),
+    ] {
         let said = client::halt_within(plotter.jobs, code, Duration::from_secs(120));
         let said = said.unwrap_or_else(|error| panic!("{code}: {error}"));
         assert_eq!(said.state, state, "{said:?}");
@@ -60,7 +63,7 @@ fn stops_beside(plotter: Plotter) {
     assert_eq!(plotter.finish(&mut holder).end, End::Stopped);
     // The line is free now, and it is the same.
     holder.hang_up();
-    let said = client::halt_within(plotter.jobs, Code::Stop, Duration::from_secs(120));
+    let said = client::halt_within(plotter.jobs, JobCommand::Stop, Duration::from_secs(120));
     assert_eq!(said.map(|said| said.state).ok(), Some(State::Stopped));
     plotter.events();
 }
@@ -79,7 +82,7 @@ fn a_stop_behind_many_requests_counts_though_its_client_has_closed_its_side() {
     begin(&mut board, "held", &program);
     board.hang_up();
     let stop = Request::Command {
-        code: Code::Stop.code(),
+        code: JobCommand::Stop.code(),
         flags: 0,
         keepalive: 0,
         name: Name::EMPTY,

@@ -6,7 +6,7 @@ use ferrocnc_tests::stops::{Job, STEPS, Shape, Used, Way};
 use host::job::client::Board;
 use rand::Rng as _;
 use std::time::{Duration, Instant};
-use wire::jobs::{Command as Code, State};
+use wire::jobs::{JobCommand, State};
 
 /// What ends a job that is streamed over a network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,11 +59,11 @@ impl Strikes {
             Strikes::Silence => {}
             Strikes::CtrlC => plotter.end_streaming(),
             Strikes::Stop => {
-                board.command(Code::Stop).expect("it is taken");
+                board.command(JobCommand::Stop).expect("it is taken");
             }
             Strikes::Pause => {
                 // It may be over.
-                let _over = board.command(Code::Pause);
+                let _over = board.command(JobCommand::Pause);
             }
         }
     }
@@ -130,7 +130,7 @@ fn struck(seed: u64) -> (Strikes, f64) {
     Strikes::over(&plotter);
     if strikes == Strikes::Pause {
         // A pause that came after the end is refused.
-        let _over = board.command(Code::Stop);
+        let _over = board.command(JobCommand::Stop);
     }
     // It may have been over before.
     let cut = strikes == Strikes::Reset && counts != job.told.steps;

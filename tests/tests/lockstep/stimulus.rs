@@ -49,7 +49,7 @@ pub struct Stimulus {
     reset_left: u32,
     noise: u32,
     /// Clocks between two edges of index and mask pins, on average.
-    marks: u32,
+    index_every: u32,
     /// Clocks for which they flap.
     flap: u32,
     owner: Owner,
@@ -101,7 +101,7 @@ impl Stimulus {
             busy: true,
             reset_left: 0,
             noise: 20_000,
-            marks: 40,
+            index_every: 40,
             flap: 0,
             owner: Owner::new(c),
             frame: VecDeque::new(),
@@ -298,7 +298,7 @@ impl Stimulus {
             let strobes = 1 + self.random.below(3);
             self.write(pages::TIMEBASE, 7, strobes);
         }
-        self.marks = 4 + self.random.below(40);
+        self.index_every = 4 + self.random.below(40);
         self.flap = 40;
     }
 
@@ -368,7 +368,7 @@ impl Stimulus {
             self.pins.enc_i ^= self.random.random::<u16>() & self.random.random::<u16>();
             self.pins.step_index ^= self.random.random::<u16>() & self.random.random::<u16>();
         }
-        if self.random.one_in(self.marks) {
+        if self.random.one_in(self.index_every) {
             let n = self.random.below(16);
             match self.random.below(4) {
                 0 | 1 => self.pins.enc_i ^= 1 << n,

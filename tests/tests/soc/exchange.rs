@@ -3,8 +3,8 @@
 use ferrocnc_tests::{BenchMachine, STRANGER, hex, seed};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg32;
+use sim::lan_segment::{BOARD_PORT, HOST_IP};
 use sim::rig::RIG_PORT;
-use sim::segment::{BOARD_PORT, HOST_IP};
 use wire::exchange::{self, Command, Latch};
 use wire::state::State;
 use wire::units::{Accel, Clocks, Velocity};
@@ -17,8 +17,8 @@ fn the_pins_carry_exactly_the_pulses_the_board_reports() {
     let mut random = Pcg32::seed_from_u64(seed);
     let mut command = machine.enabled_command();
     for _ in 0..60 {
-        for (rate, accel) in command.stepgen.iter_mut().take(6) {
-            *rate = Velocity::from_hz(random.random_range(-2e5..2e5), machine.clock_hz());
+        for (velocity, accel) in command.stepgen.iter_mut().take(6) {
+            *velocity = Velocity::from_hz(random.random_range(-2e5..2e5), machine.clock_hz());
             *accel = Accel::from_steps(random.random_range(1e6..1e9), machine.clock_hz());
         }
         machine.exchange_and_wait(&mut command);
@@ -50,9 +50,9 @@ fn encoders_on_the_motors_count_what_the_motors_turn_and_latch_at_the_index() {
     command.index_arm = 1 << 0;
     command.latch = Latch::Encoder(0);
     for axis in 0..6 {
-        let rate = if axis % 2 == 0 { 300e3 } else { -200e3 };
+        let velocity = if axis % 2 == 0 { 300e3 } else { -200e3 };
         command.stepgen[axis] = (
-            Velocity::from_hz(rate, machine.clock_hz()),
+            Velocity::from_hz(velocity, machine.clock_hz()),
             Accel::UNLIMITED,
         );
     }
@@ -212,8 +212,8 @@ fn the_probe_latches_every_armed_channel_on_the_same_clock() {
     machine.rearm(&mut command);
     (command.probe_arm, command.stepgen_probe_arm) = (0x3f, 0x3f);
     for axis in 0..6 {
-        let rate = 50e3 * (axis as f64 - 2.5);
-        command.stepgen[axis].0 = Velocity::from_hz(rate, machine.clock_hz());
+        let velocity = 50e3 * (axis as f64 - 2.5);
+        command.stepgen[axis].0 = Velocity::from_hz(velocity, machine.clock_hz());
     }
     for _ in 0..5 {
         machine.exchange_and_wait(&mut command);

@@ -27,9 +27,9 @@ fn killing_the_host_mid_move_stops_the_steps_and_keeps_the_position() {
     let mut command = machine.enabled_command();
     command.gpio_out = 0x5;
     for axis in 0..3 {
-        let rate = [100e3, -60e3, 20e3][axis];
+        let velocity = [100e3, -60e3, 20e3][axis];
         command.stepgen[axis] = (
-            Velocity::from_hz(rate, machine.clock_hz()),
+            Velocity::from_hz(velocity, machine.clock_hz()),
             Accel::from_steps(1e8, machine.clock_hz()),
         );
     }

@@ -21,8 +21,8 @@ const WHOLE: f64 = 4.0;
 /// All six axes move.
 fn moving(machine: &BenchMachine) -> Command {
     let mut command = machine.enabled_command();
-    for (n, (rate, accel)) in command.stepgen.iter_mut().take(6).enumerate() {
-        *rate = Velocity::from_hz(10e3 * (n as f64 + 1.0), machine.clock_hz());
+    for (n, (velocity, accel)) in command.stepgen.iter_mut().take(6).enumerate() {
+        *velocity = Velocity::from_hz(10e3 * (n as f64 + 1.0), machine.clock_hz());
         *accel = Accel::from_steps(1e7, machine.clock_hz());
     }
     command

@@ -76,13 +76,13 @@ fn every_code_is_its_own_values_and_no_other() {
             assert_eq!(known.count(), $name::ALL.len(), stringify!($name));
         )+};
     }
-    every!(Op, Status, Command, State, End);
+    every!(Op, Status, JobCommand, State, End);
 }
 
 #[test]
 fn the_codes_are_those_of_xypenplotter_and_one_above_them() {
-    let codes = [0, 1, 2, 9, 10, 11, 12, Command::Here as u8];
-    let known = (0..=255u8).filter(|code| Command::from_code(*code).is_some());
+    let codes = [0, 1, 2, 9, 10, 11, 12, JobCommand::Here as u8];
+    let known = (0..=255u8).filter(|code| JobCommand::from_code(*code).is_some());
     assert!(known.eq(codes));
     for (state, code) in [
         (State::Stopped, 0),

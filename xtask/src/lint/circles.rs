@@ -43,9 +43,9 @@ fn read(file: &Path, folder: &Path, name: Name, into: &mut Modules) {
     let tokens = tokens(&text);
     for words in tokens.windows(3).filter(|w| w[0] == "mod" && w[2] == ";") {
         let (folder, child) = (folder.join(&words[1]), [&name, &words[1..2]].concat());
-        let files = [folder.with_extension("rs"), folder.join("mod.rs")];
-        if let Some(file) = files.iter().find(|file| file.exists()) {
-            read(file, &folder, child, into);
+        let file = folder.with_extension("rs");
+        if file.exists() {
+            read(&file, &folder, child, into);
         }
     }
     into.insert(name, tokens);

@@ -9,7 +9,7 @@ use std::fs;
 const WIDTH: usize = 100;
 
 /// Endings of files with comments, and the signs a comment begins with.
-const MARKS: [(&str, &str); 14] = [
+const COMMENT_SIGNS: [(&str, &str); 14] = [
     ("c", "//"),
     ("cpp", "//"),
     ("h", "//"),
@@ -63,7 +63,7 @@ fn wide_lines(text: &str, mark: &str, python: bool) -> Vec<usize> {
 #[test]
 fn comments_are_narrow() {
     let (mut found, mut read) = (Vec::new(), 0);
-    for (ending, mark) in MARKS {
+    for (ending, mark) in COMMENT_SIGNS {
         for file in tree::with_ending(root(), ending).unwrap() {
             if file.starts_with("pac") {
                 continue;

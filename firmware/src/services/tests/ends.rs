@@ -1,6 +1,6 @@
 //! How connections end, and when their places are free again.
 
-use super::host::{Host, Segment, segment_of, visited, visitor};
+use super::host::{Host, TcpSegment, segment_of, visited, visitor};
 use super::rig::{Board, MS};
 use smoltcp::wire::{TcpControl, TcpSeqNumber};
 use std::vec::Vec;
@@ -285,7 +285,7 @@ fn a_client_that_is_given_up_hears_of_it() {
     // It never ends its own half.
     board.frame(&host.nod());
     let sent = board.wait(CLOSING_MS + MORE_MS);
-    let segments: Vec<Segment> = sent.iter().filter_map(|(_, it)| segment_of(it)).collect();
+    let segments: Vec<TcpSegment> = sent.iter().filter_map(|(_, it)| segment_of(it)).collect();
     let reset = segments.iter().find(|it| it.control == TcpControl::Rst);
     assert!(reset.is_some_and(|it| it.seq == host.ack), "{segments:?}");
 }

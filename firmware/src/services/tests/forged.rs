@@ -1,6 +1,6 @@
 //! Segments of strangers, and damaged ones: what they may not do to a client that is there.
 
-use super::host::{Host, Segment, segment_of, visited};
+use super::host::{Host, TcpSegment, segment_of, visited};
 use super::rig::{Board, echo};
 use smoltcp::wire::{Ipv4Packet, TcpControl, TcpSeqNumber};
 use std::vec::Vec;
@@ -157,7 +157,7 @@ fn a_forged_knock_of_the_visitor_changes_nothing_and_one_of_its_own_is_served_so
             // All hosts of the test have this port; their addresses tell them apart.
             if frame[30..34] == anew.ip.octets() && asked.is_none() {
                 asked = Some(at);
-                let reset = Segment {
+                let reset = TcpSegment {
                     host: anew.port,
                     control: TcpControl::Rst,
                     seq: segment.ack.expect("a question"),

@@ -13,7 +13,7 @@ use wire::jobs::{FRAME, Frame, Op, PORT, Request, Status};
 
 /// A segment.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Segment {
+pub struct TcpSegment {
     /// The port of the host.
     pub host: u16,
     pub control: TcpControl,
@@ -24,7 +24,7 @@ pub struct Segment {
 }
 
 /// A segment of the board's, with its sums checked; not ARP.
-pub fn segment_of(frame: &[u8]) -> Option<Segment> {
+pub fn segment_of(frame: &[u8]) -> Option<TcpSegment> {
     let sums = ChecksumCapabilities::default();
     let frame = EthernetFrame::new_checked(frame).expect("a frame");
     if frame.ethertype() != EthernetProtocol::Ipv4 {
@@ -35,7 +35,7 @@ pub fn segment_of(frame: &[u8]) -> Option<Segment> {
     let packet = TcpPacket::new_checked(packet.payload()).expect("TCP");
     let (from, to) = (ip.src_addr.into(), ip.dst_addr.into());
     let tcp = TcpRepr::parse(&packet, &from, &to, &sums).expect("a right segment");
-    Some(Segment {
+    Some(TcpSegment {
         host: tcp.dst_port,
         control: tcp.control,
         seq: tcp.seq_number,
@@ -84,7 +84,7 @@ impl Host {
     }
 
     pub fn segment(&self, control: TcpControl, ack: bool, data: &[u8]) -> Vec<u8> {
-        self.frame(&Segment {
+        self.frame(&TcpSegment {
             host: self.port,
             control,
             seq: self.seq,
@@ -99,7 +99,7 @@ impl Host {
         self.segment(TcpControl::None, true, b"")
     }
 
-    pub fn frame(&self, segment: &Segment) -> Vec<u8> {
+    pub fn frame(&self, segment: &TcpSegment) -> Vec<u8> {
         let sums = ChecksumCapabilities::default();
         let tcp = TcpRepr {
             src_port: self.port,
@@ -159,7 +159,7 @@ impl Host {
     /// Sends a SYN; true if the board accepts it.
     pub fn knocks(&mut self, board: &mut Board) -> bool {
         let sent = board.frame(&self.segment(TcpControl::Syn, false, b""));
-        let welcome = |segment: Segment| {
+        let welcome = |segment: TcpSegment| {
             let ours = segment.host == self.port && segment.control == TcpControl::Syn;
             ours && segment.ack == Some(self.seq + 1)
         };

@@ -71,13 +71,13 @@ const LATE_MS: u32 = 40;
 
 /// One direction of the wire.
 #[derive(Default)]
-struct Line {
+struct Direction {
     under_way: BTreeMap<(u64, u64), Vec<u8>>,
     count: u64,
     delivered: u64,
 }
 
-impl Line {
+impl Direction {
     fn put(&mut self, frame: &[u8], now: u64, faults: Faults, dice: &mut Dice) {
         if dice.falls(faults.lost) {
             return;
@@ -153,8 +153,8 @@ struct Lan {
     iface: Interface,
     card: NetworkCard,
     sockets: SocketSet<'static>,
-    there: Line,
-    back: Line,
+    there: Direction,
+    back: Direction,
     faults: Faults,
     dice: Dice,
     port: u16,
@@ -175,8 +175,8 @@ impl Lan {
             iface,
             card,
             sockets: SocketSet::new(vec![]),
-            there: Line::default(),
-            back: Line::default(),
+            there: Direction::default(),
+            back: Direction::default(),
             faults,
             dice: Dice(seed),
             port: 50_000,

@@ -30,8 +30,8 @@ fn acquire(peer: u8) -> Step {
     by(peer, 1, &[7])
 }
 
-fn exchange(peer: u8, flags: u8, rates: u8) -> Step {
-    by(peer, 2, &[flags, 0, rates])
+fn exchange(peer: u8, flags: u8, velocities: u8) -> Step {
+    by(peer, 2, &[flags, 0, velocities])
 }
 
 /// A servo period goes by.

@@ -14,7 +14,7 @@ use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 #[derive(Subcommand)]
-pub(crate) enum Command {
+pub(crate) enum ConfigCommand {
     /// Write a configuration to begin with.
     New(New),
     /// Read configurations and platforms and say what is wrong with them.
@@ -117,11 +117,11 @@ pub(crate) enum From {
     Litexcnc,
 }
 
-pub(crate) fn run(command: &Command, as_json: bool) -> Result<()> {
+pub(crate) fn run(command: &ConfigCommand, as_json: bool) -> Result<()> {
     match command {
-        Command::New(new) => self::new(new),
-        Command::Check { files } => check(files, as_json),
-        Command::Show { file, toml } => {
+        ConfigCommand::New(new) => self::new(new),
+        ConfigCommand::Check { files } => check(files, as_json),
+        ConfigCommand::Show { file, toml } => {
             let board = read_board(file)?;
             let text = match (as_json, toml) {
                 (true, _) => format!("{:#}\n", export::export(&board)?),
@@ -130,19 +130,19 @@ pub(crate) fn run(command: &Command, as_json: bool) -> Result<()> {
             };
             say(&text)
         }
-        Command::Pinout {
+        ConfigCommand::Pinout {
             what,
             output,
             color,
         } => draw(what, output.as_deref(), *color),
-        Command::Import {
+        ConfigCommand::Import {
             from,
             file,
             name,
             output,
             force,
         } => import(*from, file, name.as_deref(), output.as_deref(), *force),
-        Command::Schema { platform } => {
+        ConfigCommand::Schema { platform } => {
             let schema = if *platform {
                 schema::platform()
             } else {

@@ -4,7 +4,7 @@ use crate::findings;
 use anyhow::Result;
 use clap::Args;
 use ferrocnc::doctor::system::System;
-use ferrocnc::doctor::{Subject, card, examine};
+use ferrocnc::doctor::{Subject, board, examine};
 use std::path::PathBuf;
 
 #[derive(Args)]
@@ -28,7 +28,7 @@ pub(crate) fn run(arguments: &Doctor, as_json: bool) -> Result<()> {
     };
     let mut report = examine(&System::real(), &subject);
     if let Some(mut client) = client {
-        report.findings.extend(card::examine(&mut client));
+        report.findings.extend(board::examine(&mut client));
     }
     findings::tell(&report, arguments.report.as_deref(), as_json)
 }

@@ -20,7 +20,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 #[derive(Subcommand)]
-pub(crate) enum Command {
+pub(crate) enum JobToolCommand {
     /// Make a job of a drawing (.svg), of G-code or of XYPenPlotter's binary (.bin).
     Prepare(Prepare),
     /// Draw a job or a program: SVG or PNG, with travel moves, extents and time.
@@ -44,7 +44,7 @@ pub(crate) enum Command {
         source: Source,
     },
     #[command(flatten)]
-    Board(board::Command),
+    Board(board::BoardJobCommand),
 }
 
 /// The source, and the machine.
@@ -206,10 +206,10 @@ impl Source {
     }
 }
 
-pub(crate) fn run(command: &Command, as_json: bool) -> Result<()> {
+pub(crate) fn run(command: &JobToolCommand, as_json: bool) -> Result<()> {
     match command {
-        Command::Prepare(prepare) => self::prepare(prepare, as_json),
-        Command::Preview {
+        JobToolCommand::Prepare(prepare) => self::prepare(prepare, as_json),
+        JobToolCommand::Preview {
             source,
             output,
             width,
@@ -226,8 +226,8 @@ pub(crate) fn run(command: &Command, as_json: bool) -> Result<()> {
             save(output, &picture, *force)?;
             report(&program, &trace, &[], as_json)
         }
-        Command::Board(command) => board::run(command, as_json),
-        Command::Check { source } => {
+        JobToolCommand::Board(command) => board::run(command, as_json),
+        JobToolCommand::Check { source } => {
             let (program, machine) = source.read()?;
             let wrong = machine.as_ref().map_or(Vec::new(), |machine| {
                 trace::out_of_bounds(&program, machine)

@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 const RESTART: Duration = Duration::from_secs(15);
 
 #[derive(Subcommand)]
-pub(crate) enum Command {
+pub(crate) enum KeyCommand {
     /// Make a key, keep it in this user's file for the board, and set it. The old one is needed if
     /// there is one.
     New {
@@ -48,18 +48,18 @@ pub(crate) enum Command {
     },
 }
 
-pub(crate) fn run(command: &Command, as_json: bool) -> Result<()> {
+pub(crate) fn run(command: &KeyCommand, as_json: bool) -> Result<()> {
     match command {
-        Command::New { address } => {
+        KeyCommand::New { address } => {
             let key = Key::random().context("no random numbers")?;
             set(address, Some(key), as_json)
         }
-        Command::Set { address, file } => {
+        KeyCommand::Set { address, file } => {
             let key = keys::read(file).with_context(|| "the new key".to_owned())?;
             set(address, Some(key), as_json)
         }
-        Command::Clear { address } => set(address, None, as_json),
-        Command::Show { address } => show(address, as_json),
+        KeyCommand::Clear { address } => set(address, None, as_json),
+        KeyCommand::Show { address } => show(address, as_json),
     }
 }
 

@@ -44,18 +44,18 @@ struct Arguments {
     #[arg(long, global = true, value_name = "FILE")]
     key: Option<PathBuf>,
     #[command(subcommand)]
-    command: Command,
+    command: ToolCommand,
 }
 
 #[derive(Subcommand)]
-enum Command {
+enum ToolCommand {
     /// Board files: write, check, show, draw and import them. No board is needed.
     #[command(subcommand)]
-    Config(config::Command),
+    Config(config::ConfigCommand),
     /// Jobs: make them of drawings and G-code, draw and check them; send them to a board that
     /// executes them by itself.
     #[command(subcommand)]
-    Job(job::Command),
+    Job(job::JobToolCommand),
     /// What the board is: versions, channels and their names, clock, state.
     Describe {
         /// IP[:port] of the board.
@@ -110,7 +110,7 @@ enum Command {
     /// A board's pre-shared key: only computers with the key can take, configure or flash the
     /// board.
     #[command(subcommand)]
-    Key(key::Command),
+    Key(key::KeyCommand),
     /// The board's debug console.
     Console {
         /// IP[:port] of the console; the port is telnet's if not given.
@@ -143,32 +143,32 @@ fn run(arguments: &Arguments) -> Result<()> {
     // Set once, used by every command that opens a board.
     let _ = KEY.set(Keys::named(arguments.key.as_deref()));
     match &arguments.command {
-        Command::Config(command) => config::run(command, json),
-        Command::Job(command) => job::run(command, json),
-        Command::Describe { address } => describe::run(&mut open(address)?, json),
-        Command::Watch {
+        ToolCommand::Config(command) => config::run(command, json),
+        ToolCommand::Job(command) => job::run(command, json),
+        ToolCommand::Describe { address } => describe::run(&mut open(address)?, json),
+        ToolCommand::Watch {
             address,
             once,
             interval,
         } => watch::run(&mut open(address)?, *once, *interval, json),
-        Command::Log {
+        ToolCommand::Log {
             address,
             elf,
             follow,
         } => log::run(&mut open(address)?, elf, *follow, json),
-        Command::Discover(arguments) => discover::run(arguments, json),
-        Command::Set(arguments) => set::run(arguments, json),
-        Command::Selftest(arguments) => selftest::run(arguments, json),
-        Command::Doctor(arguments) => doctor::run(arguments, json),
-        Command::Update(arguments) => update::run(arguments, json),
-        Command::Flash { what } => flash::run(what, json),
-        Command::Key(command) => key::run(command, json),
-        Command::Console { address, command } => {
+        ToolCommand::Discover(arguments) => discover::run(arguments, json),
+        ToolCommand::Set(arguments) => set::run(arguments, json),
+        ToolCommand::Selftest(arguments) => selftest::run(arguments, json),
+        ToolCommand::Doctor(arguments) => doctor::run(arguments, json),
+        ToolCommand::Update(arguments) => update::run(arguments, json),
+        ToolCommand::Flash { what } => flash::run(what, json),
+        ToolCommand::Key(command) => key::run(command, json),
+        ToolCommand::Console { address, command } => {
             let address = parse(address, wire::CONSOLE_PORT)?;
             console::run(&address, command.as_deref(), json)
         }
-        Command::Completions(arguments) => manual::completions(arguments),
-        Command::Man(arguments) => manual::manual(arguments),
+        ToolCommand::Completions(arguments) => manual::completions(arguments),
+        ToolCommand::Man(arguments) => manual::manual(arguments),
     }
 }
 

@@ -100,7 +100,7 @@ impl Look {
                     "name": name(Kind::Stepgen, n),
                     "pulses": position.pulses(),
                     "position": position.steps(),
-                    "rate_hz": velocity.to_hz(clock),
+                    "velocity": velocity.to_hz(clock),
                     "rate_limited": status.rate_limited >> n & 1 != 0,
                 })
             })

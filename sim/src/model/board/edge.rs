@@ -113,15 +113,15 @@ impl Board {
         self.estop_caught = self.hub.gpio.estop_latched();
         self.left_caught = self.hub.watchdog.remaining();
         let mut flags = [0u32; 3];
-        for (n, lane) in self.encoders.iter().enumerate() {
-            flags[0] |= u32::from(lane.latch.index_latched()) << n;
-            flags[1] |= u32::from(lane.latch.probe_latched()) << (16 + n);
-            flags[2] |= u32::from(lane.waited) << (16 + n);
+        for (n, channel) in self.encoders.iter().enumerate() {
+            flags[0] |= u32::from(channel.latch.index_latched()) << n;
+            flags[1] |= u32::from(channel.latch.probe_latched()) << (16 + n);
+            flags[2] |= u32::from(channel.waited) << (16 + n);
         }
-        for (n, lane) in self.steps.iter().enumerate() {
-            flags[0] |= u32::from(lane.waited) << (16 + n);
-            flags[1] |= u32::from(lane.latch.index_latched()) << n;
-            flags[2] |= u32::from(lane.latch.probe_latched()) << n;
+        for (n, channel) in self.steps.iter().enumerate() {
+            flags[0] |= u32::from(channel.waited) << (16 + n);
+            flags[1] |= u32::from(channel.latch.index_latched()) << n;
+            flags[2] |= u32::from(channel.latch.probe_latched()) << n;
         }
         self.flags_caught = flags;
     }
@@ -143,18 +143,20 @@ impl Board {
 
     fn lanes_clock(&mut self, rst: bool, strobes: &Strobes) {
         let (regs, common) = (&self.regs, &self.common);
-        for (n, lane) in self.steps.iter_mut().enumerate() {
-            lane.clock(n, regs, common, strobes);
-            lane.waited &= !rst;
-            lane.handed_on = lane.handed_on.filter(|_| !rst);
+        for (n, channel) in self.steps.iter_mut().enumerate() {
+            channel.clock(n, regs, common, strobes);
+            channel.waited &= !rst;
+            channel.handed_on = channel.handed_on.filter(|_| !rst);
         }
-        for (n, lane) in self.encoders.iter_mut().enumerate() {
-            lane.clock(n, regs, common, strobes);
-            lane.waited &= !rst;
+        for (n, channel) in self.encoders.iter_mut().enumerate() {
+            channel.clock(n, regs, common, strobes);
+            channel.waited &= !rst;
         }
-        for (n, lane) in self.pwms.iter_mut().enumerate() {
-            lane.core.clock(&regs.pwm_input(n, common, strobes.commit));
-            lane.at += 1;
+        for (n, channel) in self.pwms.iter_mut().enumerate() {
+            channel
+                .core
+                .clock(&regs.pwm_input(n, common, strobes.commit));
+            channel.at += 1;
         }
     }
 
@@ -228,13 +230,13 @@ impl Board {
                 .steps
                 .iter()
                 .take(regs.jobs)
-                .all(|lane| lane.core.stopped()),
+                .all(|channel| channel.core.stopped()),
             waits: self
                 .steps
                 .iter()
                 .take(regs.jobs)
                 .enumerate()
-                .any(|(n, lane)| lane.core.waits(&regs.stepgen_input(n, common, false))),
+                .any(|(n, channel)| channel.core.waits(&regs.stepgen_input(n, common, false))),
             ..segments::Input::default()
         };
         if let Some((address, data)) = self.write {

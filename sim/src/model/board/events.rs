@@ -1,4 +1,4 @@
-//! Goes from event to event: makes edges only for lanes that need one.
+//! Goes from event to event: makes edges only for channels that need one.
 
 use super::edge::Pulses;
 use super::{Board, Bus, Strobes};
@@ -29,10 +29,11 @@ impl Board {
         };
     }
 
-    /// The next edge is one of a stepgen that plays segments: if it waits, all lanes are affected.
+    /// The next edge is one of a stepgen that plays segments: if it waits, all channels are
+    /// affected.
     fn is_of_a_job(&self, edge: u64) -> bool {
-        let lanes = self.next.get(1..=self.regs.jobs).unwrap_or(&[]);
-        self.common.job.busy && lanes.contains(&edge)
+        let channels = self.next.get(1..=self.regs.jobs).unwrap_or(&[]);
+        self.common.job.busy && channels.contains(&edge)
     }
 
     fn plan_all(&mut self) {
@@ -67,7 +68,7 @@ impl Board {
     /// did.
     pub fn run(&mut self, until: u64) -> bool {
         while self.clock < until {
-            // With an edge of everything to come, the lanes have not been asked when they want
+            // With an edge of everything to come, the channels have not been asked when they want
             // theirs.
             let next = if self.full == self.clock + 1 {
                 self.full
@@ -93,13 +94,13 @@ impl Board {
         false
     }
 
-    /// The edge `edge`, of the lanes that want it.
+    /// The edge `edge`, of the channels that want it.
     fn events(&mut self, edge: u64) {
         let strobes = Strobes {
             now: edge - 1,
             ..Strobes::default()
         };
-        // A timed commit affects all lanes.
+        // A timed commit affects all channels.
         if self.next[0] == edge {
             self.hub.catch_up(edge - 1, &self.regs);
             if self.hub.timebase.due(false) {
@@ -116,10 +117,10 @@ impl Board {
         }
         for n in 0..self.steps.len() {
             if self.next[1 + n] == edge {
-                let lane = &mut self.steps[n];
-                lane.catch_up(edge - 1, n, &self.regs, &self.common);
-                lane.clock(n, &self.regs, &self.common, &strobes);
-                let quiet = lane.quiet(n, &self.regs, &self.common);
+                let channel = &mut self.steps[n];
+                channel.catch_up(edge - 1, n, &self.regs, &self.common);
+                channel.clock(n, &self.regs, &self.common, &strobes);
+                let quiet = channel.quiet(n, &self.regs, &self.common);
                 self.plan(1 + n, quiet);
                 self.show_step(n);
             }
@@ -127,10 +128,10 @@ impl Board {
         let first = 1 + self.steps.len();
         for n in 0..self.encoders.len() {
             if self.next[first + n] == edge {
-                let lane = &mut self.encoders[n];
-                lane.catch_up(edge - 1, n, &self.regs);
-                lane.clock(n, &self.regs, &self.common, &strobes);
-                let quiet = lane.quiet(n, &self.regs, &self.common);
+                let channel = &mut self.encoders[n];
+                channel.catch_up(edge - 1, n, &self.regs);
+                channel.clock(n, &self.regs, &self.common, &strobes);
+                let quiet = channel.quiet(n, &self.regs, &self.common);
                 self.plan(first + n, quiet);
             }
         }
@@ -138,11 +139,11 @@ impl Board {
         for n in 0..self.pwms.len() {
             if self.next[first + n] == edge {
                 let input = self.regs.pwm_input(n, &self.common, false);
-                let lane = &mut self.pwms[n];
-                lane.core.skip(edge - 1 - lane.at, &input);
-                lane.core.clock(&input);
-                lane.at = edge;
-                let quiet = lane.core.quiet(&input);
+                let channel = &mut self.pwms[n];
+                channel.core.skip(edge - 1 - channel.at, &input);
+                channel.core.clock(&input);
+                channel.at = edge;
+                let quiet = channel.core.quiet(&input);
                 self.plan(first + n, quiet);
                 self.show_pwm(n);
             }

@@ -22,7 +22,7 @@ const AROUND: u64 = 8 + 4 - 2;
 
 /// The way from the answer's slot to the wire.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Line {
+pub(super) enum Transmitter {
     /// Something is being sent until this clock.
     Until(u64),
     /// As the test that clocks the board says: the slot can be sent, it is being sent.
@@ -38,7 +38,7 @@ fn address(number: u32) -> u32 {
 impl Board {
     /// From now on the MAC is somewhere else: the answer's slot is free, or is being sent.
     pub fn line(&mut self, free: bool, sending: bool) {
-        self.line = Line::Told { free, sending };
+        self.line = Transmitter::Told { free, sending };
     }
 
     /// All words of a frame, now; the last one is a clock in front of the next edge. True if the
@@ -74,8 +74,8 @@ impl Board {
     /// The clock by which the answer's slot has been sent, if the MAC is here.
     pub fn sent_at(&self) -> u64 {
         match self.line {
-            Line::Until(end) => end,
-            Line::Told { .. } => 0,
+            Transmitter::Until(end) => end,
+            Transmitter::Told { .. } => 0,
         }
     }
 
@@ -116,8 +116,8 @@ impl Board {
 
     fn sending(&self) -> bool {
         match self.line {
-            Line::Until(end) => self.clock < end,
-            Line::Told { sending, .. } => sending,
+            Transmitter::Until(end) => self.clock < end,
+            Transmitter::Told { sending, .. } => sending,
         }
     }
 
@@ -138,8 +138,8 @@ impl Board {
             waiting: hub.timebase.pending(),
             select: regs.probe_arms >> 16,
             free: match self.line {
-                Line::Until(end) => self.clock >= end,
-                Line::Told { free, .. } => free,
+                Transmitter::Until(end) => self.clock >= end,
+                Transmitter::Told { free, .. } => free,
             },
         }
     }
@@ -156,10 +156,10 @@ impl Board {
             let (page, word) = place(address(from));
             self.gathered = self.peek(page, word as u32);
         }
-        if let (true, Line::Until(_)) = (does.taken, self.line) {
+        if let (true, Transmitter::Until(_)) = (does.taken, self.line) {
             let bits = (u64::from(self.regs.length) + AROUND) * 8;
             let wire = (bits * u64::from(self.build.clock_hz)).div_ceil(1_000_000_000);
-            self.line = Line::Until(self.clock + 1 + TO_WIRE + wire);
+            self.line = Transmitter::Until(self.clock + 1 + TO_WIRE + wire);
         }
         self.admission.clock(&rx_admission::Input {
             header: pulses.header,

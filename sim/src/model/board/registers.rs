@@ -392,28 +392,28 @@ impl Board {
             status::LEFT => self.left_caught,
             status::STEPGEN0_POSITION_LO..status::ENCODER0_COUNT => {
                 let at = after(status::STEPGEN0_POSITION_LO);
-                let lane = self.steps.get(at / status::STEPGEN_STRIDE);
-                lane.map_or(0, |lane| match at % status::STEPGEN_STRIDE {
-                    0 => lane.sampled[0],
-                    1 => lane.wide_counter.sampled(),
-                    _ => lane.sampled[1],
+                let channel = self.steps.get(at / status::STEPGEN_STRIDE);
+                channel.map_or(0, |channel| match at % status::STEPGEN_STRIDE {
+                    0 => channel.sampled[0],
+                    1 => channel.wide_counter.sampled(),
+                    _ => channel.sampled[1],
                 })
             }
             status::ENCODER0_COUNT..status::RESERVED0 => {
                 let at = after(status::ENCODER0_COUNT);
-                let lane = self.encoders.get(at / status::ENCODER_STRIDE);
-                lane.map_or(0, |lane| match at % status::ENCODER_STRIDE {
-                    0 => lane.wide_counter.sampled(),
-                    _ => lane.edge.sampled(),
+                let channel = self.encoders.get(at / status::ENCODER_STRIDE);
+                channel.map_or(0, |channel| match at % status::ENCODER_STRIDE {
+                    0 => channel.wide_counter.sampled(),
+                    _ => channel.edge.sampled(),
                 })
             }
             status::ENCODER0_LATCH..status::STEPGEN0_LATCH => {
-                let lane = self.encoders.get(after(status::ENCODER0_LATCH));
-                lane.map_or(0, |lane| lane.wide_counter.latched())
+                let channel = self.encoders.get(after(status::ENCODER0_LATCH));
+                channel.map_or(0, |channel| channel.wide_counter.latched())
             }
             status::STEPGEN0_LATCH..status::WORDS => {
-                let lane = self.steps.get(after(status::STEPGEN0_LATCH));
-                lane.map_or(0, |lane| lane.wide_counter.latched())
+                let channel = self.steps.get(after(status::STEPGEN0_LATCH));
+                channel.map_or(0, |channel| channel.wide_counter.latched())
             }
             _ => 0,
         }

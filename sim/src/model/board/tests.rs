@@ -29,7 +29,7 @@ enum Deed {
     Write(u32, u32, u32),
     Inputs(u32),
     Shaft(usize, u16),
-    Marks(u16, u16, u16),
+    IndexPins(u16, u16, u16),
     Reset(bool),
     /// A whole segment.
     Segment([u32; 6]),
@@ -42,7 +42,7 @@ fn word() -> impl Strategy<Value = u32> {
 }
 
 fn deed() -> impl Strategy<Value = Deed> {
-    let rate = prop_oneof![
+    let velocity = prop_oneof![
         Just(0),
         Just(i32::MAX),
         Just(-i32::MAX),
@@ -60,7 +60,7 @@ fn deed() -> impl Strategy<Value = Deed> {
     ];
     let command = pages::COMMAND;
     prop_oneof![
-        3 => (0..3u32, rate).prop_map(move |(n, v)| Deed::Write(command, 4 + 2 * n, v as u32)),
+        3 => (0..3u32, velocity).prop_map(move |(n, v)| Deed::Write(command, 4 + 2 * n, v as u32)),
         2 => (0..3u32, accel.clone()).prop_map(move |(n, a)| Deed::Write(command, 5 + 2 * n, a)),
         2 => (0..2u32, 0..600u32, any::<bool>(), any::<u8>()).prop_map(move |(n, w, dir, part)| {
             Deed::Write(command, 36 + n, w << 8 | u32::from(part) | 1 << 30 | u32::from(dir) << 31)
@@ -93,7 +93,7 @@ fn deed() -> impl Strategy<Value = Deed> {
         }),
         2 => (0..8u32).prop_map(Deed::Inputs),
         8 => (0..2usize, 0..4u16).prop_map(|(n, phase)| Deed::Shaft(n, phase)),
-        2 => (0..4u16, 0..4u16, 0..8u16).prop_map(|(i, m, s)| Deed::Marks(i, m, s)),
+        2 => (0..4u16, 0..4u16, 0..8u16).prop_map(|(i, m, s)| Deed::IndexPins(i, m, s)),
         1 => prop_oneof![9 => Just(false), 1 => Just(true)].prop_map(Deed::Reset),
         4 => any::<u64>().prop_map(Deed::Frame),
         1 => Just(Deed::Write(pages::FAST_PATH, 21, 1)),
@@ -233,7 +233,7 @@ proptest! {
                     put(&mut pins.enc_a, n, phase & 1 != 0);
                     put(&mut pins.enc_b, n, phase & 2 != 0);
                 }
-                Deed::Marks(index, mask, step) => {
+                Deed::IndexPins(index, mask, step) => {
                     (pins.enc_i, pins.enc_mask, pins.step_index) = (index, mask, step);
                 }
                 Deed::Reset(on) => pins.ext_reset = on.into(),

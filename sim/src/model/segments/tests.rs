@@ -239,7 +239,7 @@ proptest! {
     /// registers at every look.
     #[test]
     fn many_clocks_of_a_segment_at_once_are_those_clocks_one_by_one(
-        rates in proptest::collection::vec((64..5000u32, -(1i32 << 28)..1 << 28, -(1i32 << 26)..1 << 26, 0..4u16), 1..12),
+        motions in proptest::collection::vec((64..5000u32, -(1i32 << 28)..1 << 28, -(1i32 << 26)..1 << 26, 0..4u16), 1..12),
         times in (1..20u32, 1..20u32, 1..60u32, 1..60u32),
         looks in proptest::collection::vec((1..900u64, 0..40u8), 20..200),
     ) {
@@ -247,7 +247,7 @@ proptest! {
         for board in [&mut slow, &mut fast] {
             write(board, pages::SEGMENTS, segments::SLEW, 1 << 20);
             write(board, pages::SEGMENTS, segments::MASK, 3);
-            for (clocks, x, y, aux) in &rates {
+            for (clocks, x, y, aux) in &motions {
                 let segment = Segment { clocks: *clocks, velocity: [*x, *y, 0], accel: [1 << 24, 0, 1], aux: *aux, tag: 7 };
                 push(board, &segment);
             }

@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
-use wire::jobs::{Command as Code, End, Entry, KEEPALIVE_MS, Report, State, Status};
+use wire::jobs::{End, Entry, JobCommand, KEEPALIVE_MS, Report, State, Status};
 
 /// Time between two requests about a running job; a keepalive is longer.
 const LOOK: Duration = Duration::from_millis(250);
@@ -38,14 +38,14 @@ impl Where {
     }
 
     /// Stop and Pause, also while another client has the line.
-    fn halt(&self, code: Code) -> Result<Report> {
+    fn halt(&self, code: JobCommand) -> Result<Report> {
         let address = crate::parse(&self.address, wire::jobs::PORT)?;
         Ok(client::halt(address.socket, code)?)
     }
 }
 
 #[derive(Subcommand)]
-pub(crate) enum Command {
+pub(crate) enum BoardJobCommand {
     /// Send a job to a board's store; an interrupted upload continues where it stopped.
     Send {
         #[command(flatten)]
@@ -154,15 +154,15 @@ fn axes(text: &str) -> Result<[bool; 3], String> {
     Ok(axes)
 }
 
-pub(crate) fn run(command: &Command, as_json: bool) -> Result<()> {
+pub(crate) fn run(command: &BoardJobCommand, as_json: bool) -> Result<()> {
     match command {
-        Command::Send {
+        BoardJobCommand::Send {
             board,
             file,
             name,
             machine,
         } => send(board, file, name.as_deref(), machine.as_deref(), as_json),
-        Command::Start {
+        BoardJobCommand::Start {
             board,
             name,
             machine,
@@ -178,10 +178,10 @@ pub(crate) fn run(command: &Command, as_json: bool) -> Result<()> {
                 false => watch(&mut board, keepalive, as_json),
             }
         }
-        Command::Pause(board) => show(&board.halt(Code::Pause)?, as_json),
-        Command::Continue(board) => say(board, Code::Continue, as_json),
-        Command::Stop(board) => show(&board.halt(Code::Stop)?, as_json),
-        Command::Home {
+        BoardJobCommand::Pause(board) => show(&board.halt(JobCommand::Pause)?, as_json),
+        BoardJobCommand::Continue(board) => say(board, JobCommand::Continue, as_json),
+        BoardJobCommand::Stop(board) => show(&board.halt(JobCommand::Stop)?, as_json),
+        BoardJobCommand::Home {
             board,
             axes,
             machine,
@@ -192,7 +192,7 @@ pub(crate) fn run(command: &Command, as_json: bool) -> Result<()> {
             board.home(axes.unwrap_or_default(), keepalive)?;
             watch(&mut board, keepalive, as_json)
         }
-        Command::Here {
+        BoardJobCommand::Here {
             board,
             axes,
             machine,
@@ -201,18 +201,18 @@ pub(crate) fn run(command: &Command, as_json: bool) -> Result<()> {
             tell(&mut board, machine.as_deref())?;
             show(&board.here(axes.unwrap_or_default())?, as_json)
         }
-        Command::Status(board) => show(&board.open()?.report()?, as_json),
-        Command::Watch(board) => watch(&mut board.open()?, None, as_json),
-        Command::List(board) => list(&mut board.open()?, as_json),
-        Command::Delete { board, name } => {
+        BoardJobCommand::Status(board) => show(&board.open()?.report()?, as_json),
+        BoardJobCommand::Watch(board) => watch(&mut board.open()?, None, as_json),
+        BoardJobCommand::List(board) => list(&mut board.open()?, as_json),
+        BoardJobCommand::Delete { board, name } => {
             let free = board.open()?.delete(name)?;
             match as_json {
                 true => super::say(&format!("{}\n", json!({ "deleted": name, "free": free }))),
                 false => super::say(&format!("{name} is deleted, {free} bytes are free\n")),
             }
         }
-        Command::Serve { address, at } => serve(address, *at, as_json),
-        Command::Feed { board, percent } => show(&board.open()?.feed(*percent)?, as_json),
+        BoardJobCommand::Serve { address, at } => serve(address, *at, as_json),
+        BoardJobCommand::Feed { board, percent } => show(&board.open()?.feed(*percent)?, as_json),
     }
 }
 
@@ -269,7 +269,7 @@ fn tell(board: &mut Board, machine: Option<&Path>) -> Result<()> {
     told.with_context(|| file.display().to_string())
 }
 
-fn say(board: &Where, code: Code, as_json: bool) -> Result<()> {
+fn say(board: &Where, code: JobCommand, as_json: bool) -> Result<()> {
     show(&board.open()?.command(code)?, as_json)
 }
 

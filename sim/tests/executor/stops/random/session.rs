@@ -117,7 +117,7 @@ impl Drive {
     fn steers(&self, random: &mut Pcg32, client: &mut Client) {
         for (n, (accel, speed)) in self.axes.iter().enumerate() {
             if random.random_bool(0.3) {
-                let rate = match random.random_bool(0.2) {
+                let velocity = match random.random_bool(0.2) {
                     true => 0.0,
                     false => random.random_range(-*speed..*speed),
                 };
@@ -125,7 +125,7 @@ impl Drive {
                     true => Accel::UNLIMITED,
                     false => Accel::from_steps(accel.max(100.0), HZ),
                 };
-                client.command.stepgen[n] = (Velocity::from_hz(rate, HZ), limit);
+                client.command.stepgen[n] = (Velocity::from_hz(velocity, HZ), limit);
             }
         }
     }

@@ -37,12 +37,12 @@ impl Watch {
         }
     }
 
-    fn rates(&self, rig: &mut Rig) -> Vec<f64> {
+    fn velocities(&self, rig: &mut Rig) -> Vec<f64> {
         let board = &mut rig.machine.board;
         board.strobe(timebase::STROBE_SAMPLE);
-        let rate = |n| board.latched(status::STEPGEN0_VELOCITY + n * STATUS_STEPGEN) as i32;
-        let all = (0..self.accel.len()).map(rate);
-        all.map(|rate| f64::from(rate) * HZ / 2f64.powi(32))
+        let velocity = |n| board.latched(status::STEPGEN0_VELOCITY + n * STATUS_STEPGEN) as i32;
+        let all = (0..self.accel.len()).map(velocity);
+        all.map(|velocity| f64::from(velocity) * HZ / 2f64.powi(32))
             .collect()
     }
 
@@ -52,18 +52,18 @@ impl Watch {
 
     /// Once in every turn.
     pub fn look(&mut self, rig: &mut Rig) {
-        let (rates, open) = (self.rates(rig), rig.machine.board.gate().open());
+        let (velocities, open) = (self.velocities(rig), rig.machine.board.gate().open());
         if !open && !self.closed {
             self.closed = true;
             // More than what it can lose in the turn between.
             let turn = 1.1 * TURN as f64 / HZ;
             let mut moved = self.before.iter().zip(&self.accel);
-            self.cut = moved.any(|(rate, a)| rate.abs() > a * turn + 0.1 && *a > 0.0);
+            self.cut = moved.any(|(velocity, a)| velocity.abs() > a * turn + 0.1 && *a > 0.0);
         }
         if self.since.is_none() && (stopping(rig) || halts(rig)) {
-            self.since = Some((self.pins(rig), rates.clone()));
+            self.since = Some((self.pins(rig), velocities.clone()));
         }
-        self.before = rates;
+        self.before = velocities;
     }
 
     /// A stop was asked for just now, and is in force from here.
@@ -72,7 +72,7 @@ impl Watch {
     }
 
     pub fn stands(&self) -> bool {
-        self.before.iter().all(|rate| *rate == 0.0)
+        self.before.iter().all(|velocity| *velocity == 0.0)
     }
 
     /// None went on for longer than this, which is asked of each axis with its speed when the stop

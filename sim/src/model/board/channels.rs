@@ -1,4 +1,4 @@
-//! The lanes: each channel's cores, and the hub with the cores that are there once. Each knows
+//! Each channel's cores, and the hub with the cores that are there once. Each knows
 //! until when it is quiet, and catches up when it is needed.
 
 use super::registers::Regs;
@@ -86,7 +86,7 @@ impl Regs {
 }
 
 #[derive(Clone, Debug, Default)]
-pub(super) struct StepLane {
+pub(super) struct StepgenChannel {
     pub(super) at: u64,
     pub(super) core: Stepgen,
     pub(super) latch: Latch,
@@ -102,7 +102,7 @@ pub(super) struct StepLane {
     pub(super) handed_on: Option<u64>,
 }
 
-impl StepLane {
+impl StepgenChannel {
     pub(super) fn clock(&mut self, n: usize, regs: &Regs, common: &Common, s: &Strobes) {
         let input = regs.stepgen_input(n, common, s.commit);
         let latch = regs.stepgen_latch(n, self.index, self.wide_counter.pending(), common);
@@ -149,7 +149,7 @@ impl StepLane {
 }
 
 #[derive(Clone, Debug, Default)]
-pub(super) struct EncoderLane {
+pub(super) struct EncoderChannel {
     pub(super) at: u64,
     pub(super) core: Encoder,
     pub(super) latch: Latch,
@@ -159,7 +159,7 @@ pub(super) struct EncoderLane {
     pub(super) waited: bool,
 }
 
-impl EncoderLane {
+impl EncoderChannel {
     pub(super) fn input(&self, n: usize, regs: &Regs, now: u64) -> encoder::Input {
         encoder::Input {
             pins: self.pins,
@@ -209,7 +209,7 @@ impl EncoderLane {
 }
 
 #[derive(Clone, Debug, Default)]
-pub(super) struct PwmLane {
+pub(super) struct PwmChannel {
     pub(super) at: u64,
     pub(super) core: Pwm,
 }
