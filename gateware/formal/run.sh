@@ -16,13 +16,17 @@
 #   DEPTH     K, or K:M when the broken core needs M clocks from power-up to show (the mutation is searched to M, else to K)
 #   MODE      induction: no counterexample in K clocks from power-up, and K clocks that hold make the next one hold: unbounded
 #             bounded:   no counterexample in K clocks from power-up
+#             cover:     every `cover` of PROVE_NAME is reached in K clocks from power-up: what the other proofs say is not said
+#                        of nothing
 #   WIDTH     full, or NAME=VALUE,NAME=VALUE: parameters of TOP, printed with the result. A proof at reduced width has a
 #             companion at full width, in either mode: one of the same NAME and TOP, or one of the
 #             same TOP which includes it, that is the source says `define PROVE_NAME under `ifdef
 #             PROVE_COMPANION. Without it nothing is proven.
 #   MUTATION  a `sed -E` script, to the end of the line, that breaks the core. It is applied to the RTL, never to CORE.sv, and
 #             the proof must find a counterexample from power-up: that a broken core is merely not
-#             inductive proves nothing.
+#             inductive proves nothing. A proof with several mutations has ` ;; ` between them, and
+#             finds one in each broken core. In mode cover a broken core, or an assumption that is
+#             too strong, must leave a `cover` unreached.
 #
 # Empty lines and lines that begin with `#` are ignored. One line may begin with `rtl`: the RTL
 # files to read, relative to gateware/rtl, when they are not just CORE.sv. yices decides the proofs;
@@ -95,42 +99,61 @@ solve() {  # folder log arguments
 prove() {  # core line
     local core=$1 name top depth mode width mutation
     read -r name top depth mode width mutation <<<"$2"
+    local mutations=() left=$mutation n=0
+    while [[ $left == *" ;; "* ]]; do
+        mutations+=("${left%% ;; *}")
+        left=${left#* ;; }
+    done
+    mutations+=("$left")
     local reach=${depth#*:} folder=$out/$core.$name.$(cksum <<<"$2" | cut -d" " -f1) began=$SECONDS files="" file said
     depth=${depth%%:*}
-    mkdir -p "$folder/sound" "$folder/broken"
-    local wanted
-    wanted=$(sed -n 's/^rtl[[:space:]]\+//p' "$here/$core.proofs")
-    for file in ${wanted:-$core.sv}; do
-        cp "$rtl/$file" "$folder/sound/rtl_$file"
-        sed -E "$mutation" "$rtl/$file" >"$folder/broken/rtl_$file"
-        files+=" rtl_$file"
-    done
-    [ ! -e "$here/$core.sv" ] || { cp "$here/$core.sv" "$folder/sound/"; cp "$here/$core.sv" "$folder/broken/"; files+=" $core.sv"; }
     fail() {
         echo "FAIL $core $name ($top, $width): $1"
         exit 1
     }
-    [ "$mode" = induction ] || [ "$mode" = bounded ] || fail "mode $mode is neither induction nor bounded"
+    local said how="" wrong="does not hold from power-up"
+    case $mode in
+        induction) said="PASS $core $name ($top): unbounded" ;;
+        bounded) said="PASS $core $name ($top): bounded" ;;
+        cover) said="REACHED $core $name ($top)" how=-c wrong="is not reached" ;;
+        *) fail "mode $mode is neither induction nor bounded nor cover" ;;
+    esac
     [ -n "$mutation" ] || fail "has no mutation"
-    ! diff -rq "$folder/sound" "$folder/broken" -x '*.smt2' -x '*.log' >/dev/null || fail "the mutation is stale: it changes nothing"
+    rm -rf "$folder"
+    mkdir -p "$folder/sound"
+    local wanted
+    wanted=$(sed -n 's/^rtl[[:space:]]\+//p' "$here/$core.proofs")
+    for file in ${wanted:-$core.sv}; do
+        cp "$rtl/$file" "$folder/sound/rtl_$file"
+        files+=" rtl_$file"
+    done
+    [ ! -e "$here/$core.sv" ] || { cp "$here/$core.sv" "$folder/sound/"; files+=" $core.sv"; }
+    for mutation in "${mutations[@]}"; do
+        n=$((n + 1))
+        cp -r "$folder/sound" "$folder/broken$n"
+        sed -i -E "$mutation" "$folder/broken$n"/rtl_*
+        ! diff -rq "$folder/sound" "$folder/broken$n" >/dev/null || fail "mutation $n is stale: it changes nothing"
+    done
 
     model "$folder/sound" || fail "does not build, see $folder/sound/yosys.log"
-    solve "$folder/sound" base -t "$depth" || fail "$(verdict "$folder/sound/base.log" "does not hold from power-up")"
+    solve "$folder/sound" base $how -t "$depth" || fail "$(verdict "$folder/sound/base.log" "$wrong")"
     if [ "$mode" = induction ]; then
         solve "$folder/sound" induction -i -t "$depth" || fail "$(verdict "$folder/sound/induction.log" "is not inductive")"
     fi
-    model "$folder/broken" || fail "the mutation does not build, see $folder/broken/yosys.log"
-    if solve "$folder/broken" base -t "$reach"; then fail "the mutation survived $reach clocks"; fi
-    grep -q "Status: FAILED" "$folder/broken/base.log" || fail "the mutation: $(verdict "$folder/broken/base.log" "gave no verdict")"
+    for ((n = 1; n <= ${#mutations[@]}; n++)); do
+        model "$folder/broken$n" || fail "mutation $n does not build, see $folder/broken$n/yosys.log"
+        if solve "$folder/broken$n" base $how -t "$reach"; then fail "mutation $n survived $reach clocks"; fi
+        grep -q "Status: FAILED" "$folder/broken$n/base.log" || fail "mutation $n: $(verdict "$folder/broken$n/base.log" "gave no verdict")"
+    done
 
-    said=unbounded
-    [ "$mode" = induction ] || said=bounded
-    echo "PASS $core $name ($top): $said, depth $depth, width $width, $solver, $((SECONDS - began)) s, mutation caught"
+    said+=", depth $depth, width $width, $solver, $((SECONDS - began)) s, mutation caught"
+    [ ${#mutations[@]} = 1 ] || said="${said% mutation caught} ${#mutations[@]} mutations caught"
+    echo "$said"
 }
 
 verdict() {  # log what
     if grep -q "Status: FAILED" "$1"; then
-        echo "$2: $(grep -m1 -oE "Assert failed in .*" "$1" || true) (see $1)"
+        echo "$2: $(grep -m1 -oE "(Assert failed|Unreached) .*" "$1" || true) (see $1)"
     else
         echo "no verdict in $limit s of a core or an error (see $1)"
     fi
