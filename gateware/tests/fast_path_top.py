@@ -16,8 +16,19 @@ from ferrocnc import regmap as rm, sim, soc as ferro  # noqa: E402
 from ferrocnc.board import read_board  # noqa: E402
 
 BUS = (("bus_adr", 30), ("bus_dat_w", 32), ("bus_dat_r", 32), ("bus_stb", 1), ("bus_we", 1), ("bus_ack", 1))
-# Looked at, besides the pins: the frame's last word, a command executed, a commit, registers held.
-SEEN = (("see_last", 1), ("see_taken", 1), ("see_commit", 1), ("see_hold", 1))
+# Looked at, besides the pins: a command executed, a commit, the word of the gate.
+SEEN = (("see_taken", 1), ("see_commit", 1), ("see_gate", 8))
+# RX_ER of the PHY.
+ERROR = (("gmii_rx_er", 1),)
+
+
+class Pins(sim.GMIIPins):
+    """The simulated PHY's wires with RX_ER, which the simulator never raises."""
+
+    def __init__(self, platform):
+        super().__init__(platform)
+        valid = platform.lookup_request("gmii_rx_dv")
+        self.sync.eth_rx += self.wires.ctl_fall.eq(valid ^ platform.request("gmii_rx_er"))
 
 
 class Board(sim.SimSoC):
@@ -34,18 +45,18 @@ class Board(sim.SimSoC):
     def _freeze(self, freeze):
         bus, pin = wishbone.Interface(data_width=32, address_width=32, addressing="word"), self.platform.request
         self.bus.add_master(name="bench", master=bus)
-        stb, stream, cores = pin("bus_stb"), self.ethmac.interface.into, self.cores
+        stb, cores = pin("bus_stb"), self.cores
         self.comb += [
             bus.adr.eq(pin("bus_adr")), bus.dat_w.eq(pin("bus_dat_w")), pin("bus_dat_r").eq(bus.dat_r), bus.sel.eq(0b1111),
             bus.cyc.eq(stb), bus.stb.eq(stb), bus.we.eq(pin("bus_we")), pin("bus_ack").eq(bus.ack),
-            pin("see_last").eq(stream.valid & stream.last), pin("see_taken").eq(cores.executes.taken),
-            pin("see_commit").eq(cores.commit), pin("see_hold").eq(cores.hold),
+            pin("see_taken").eq(cores.executes.taken), pin("see_commit").eq(cores.commit), pin("see_gate").eq(cores.gate_word),
         ]
 
 
 def main():
     logging.disable(logging.WARNING)
-    sim.PORTS += BUS + SEEN
+    sim.PORTS += BUS + SEEN + ERROR
+    sim.GMIIPins = Pins
     out = Path(sys.argv[2])
     out.mkdir(parents=True, exist_ok=True)
     board = Board(read_board(sys.argv[1]))

@@ -18,7 +18,7 @@ mutant() {  # bench file what sed-expression
         survived=1
         return
     fi
-    if said=$(RTL=$scratch/rtl OUT=$scratch/out timeout 300 "$here/run.sh" "$1" 1 2>&1); then
+    if said=$(RTL=$scratch/rtl OUT=$scratch/out BOARD=mill6 timeout 300 "$here/run.sh" "$1" 1 2>&1); then
         echo "SURVIVED $1: $3"
         survived=1
     elif [ -z "$said" ]; then  # the time was up before the bench had said anything

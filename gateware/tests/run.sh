@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Builds and runs the core benches: RTL at its pins under random stimulus. One line per core.
-#   gateware/tests/run.sh [CORE [SEED]]        RTL=DIR: cores from elsewhere; BOARD=NAME: banks of that board
+#   gateware/tests/run.sh [CORE [SEED [FRAMES]]]    RTL=DIR: cores from elsewhere; BOARD=NAME: banks of that board
+# The fast path is run for three boards, or for BOARD: six axes, all channels, no step generators.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
@@ -25,14 +26,21 @@ for test in abi board bitstream netlist proofs router streamed; do
     [ "$test" != router ] || (cd "$root" && nice cargo build --quiet --release --package ferrocnc-router)
     "$root/target/venv/bin/python" "$here/${test}_test.py" || failed=1
 done
-for bench in "$here"/*.cpp; do
-    core=$(basename "$bench" .cpp)
-    [ -z "$only" ] || [ "$only" = "$core" ] || continue
-    dir=$out/$core
+
+board_file() {
+    local file=$root/boards/$1.toml
+    [ -e "$file" ] || file=$root/tests/boards/$1.toml
+    echo "$file"
+}
+
+run() {  # core board directory arguments of the bench
+    local core=$1 board=$2 dir=$3
+    local bench=$here/$core.cpp
+    shift 3
     mkdir -p "$dir"
-    top=$rtl/$core.sv
+    local top=$rtl/$core.sv
     [ -e "$top" ] || top=$here/$core.sv
-    flags="" parameters="" lint="" more="" module=$core
+    local flags="" parameters="" lint="" more="" module=$core stamp
     case $core in
         safety) lint=-Wno-UNUSEDSIGNAL ;;  # it wires two inputs of 32
         # a board with e-stop inputs: gpio.cpp names the same ones
@@ -42,35 +50,30 @@ for bench in "$here"/*.cpp; do
     esac
     # made by the generator: the banks around every core, for one board
     if [ "$core" = cores ]; then
-        board=${BOARD:-mill6}
-        file=$root/boards/$board.toml
-        [ -e "$file" ] || file=$root/tests/boards/$board.toml
         top=$dir/cores.v
         flags="-DMAP='\"$dir/cores.map\"'" lint="-Wno-lint -Wno-style -Wno-COMBDLY"
         PYTHONPATH=$here/.. "$root/target/venv/bin/python" -m ferrocnc elaborate --target cores \
-            --board "$file" --out "$dir" >/dev/null
+            --board "$(board_file "$board")" --out "$dir" >/dev/null || return 1
     fi
     # the board's PHY with LiteEth's MAC behind it and the ECP5's pins in front
     if [ "$core" = rgmii ]; then
         top=$dir/rgmii.v more=$here/ecp5_models.v lint="-Wno-lint -Wno-style -Wno-COMBDLY -Wno-MULTITOP -Wno-UNOPTFLAT"
-        "$root/target/venv/bin/python" "$here/rgmii_top.py" "$dir"
+        "$root/target/venv/bin/python" "$here/rgmii_top.py" "$dir" || return 1
     fi
     # a whole board without its CPU, whose place the bench takes
     if [ "$core" = fast_path ]; then
-        board=${BOARD:-mill6}
-        file=$root/boards/$board.toml
-        [ -e "$file" ] || file=$root/tests/boards/$board.toml
         top=$dir/fast_path_board.v module=fast_path_board lint="-Wno-lint -Wno-style -Wno-COMBDLY -Wno-MULTITOP -Wno-UNOPTFLAT"
-        flags="-DMAP='\"$dir/board.map\"'" more="$root/sim/verilator/copper.sv $root/sim/verilator/sdram_chip.sv"
-        "$root/target/venv/bin/python" "$here/fast_path_top.py" "$file" "$dir"
+        flags="-DMAP='\"$dir/board.map\"' -DBOARD='\"$board\"' -DSHARE=$([ "$board" = mill6 ] && echo 1 || echo 10)"
+        more="$root/sim/verilator/copper.sv $root/sim/verilator/sdram_chip.sv"
+        "$root/target/venv/bin/python" "$here/fast_path_top.py" "$(board_file "$board")" "$dir" || return 1
     fi
     if [ "$core" = sdram_bridge ]; then  # the bridge from the bus to the SDRAM
         top=$dir/sdram_bridge.v lint="-Wno-lint -Wno-style -Wno-COMBDLY"
-        "$root/target/venv/bin/python" "$here/sdram_bridge_top.py" "$dir"
+        "$root/target/venv/bin/python" "$here/sdram_bridge_top.py" "$dir" || return 1
     fi
     if [ "$core" = onchip ]; then  # ROM and RAM
         top=$dir/onchip.v lint="-Wno-lint -Wno-style -Wno-COMBDLY"
-        "$root/target/venv/bin/python" "$here/onchip_top.py" "$dir"
+        "$root/target/venv/bin/python" "$here/onchip_top.py" "$dir" || return 1
     fi
     stamp=$(cat "$bench" "$here"/*.h "$top" $more "$rtl"/*.sv | cksum)
     if [ ! -x "$dir/V$core" ] || [ "$(cat "$dir/stamp" 2>/dev/null)" != "$stamp" ]; then
@@ -84,11 +87,33 @@ for bench in "$here"/*.cpp; do
             # Half-built files would be taken for good ones the next time.
             find "$dir" -type f ! -name build.log -delete
             echo "FAIL $core: does not build, see $dir/build.log"
-            failed=1
-            continue
+            return 1
         fi
         echo "$stamp" >"$dir/stamp"
     fi
-    nice "$dir/V$core" ${2:+"$2"} ${3:+"$3"} || failed=1
+    nice "$dir/V$core" "$@"
+}
+
+for bench in "$here"/*.cpp; do
+    core=$(basename "$bench" .cpp)
+    [ -z "$only" ] || [ "$only" = "$core" ] || continue
+    case $core in
+        cores) boards=${BOARD:-mill6} ;;
+        fast_path) boards=${BOARD:-mill6 max smallest} ;;
+        *) boards=mill6 ;;
+    esac
+    # Boards are built and run side by side.
+    mkdir -p "$out"
+    runs=()
+    for board in $boards; do
+        dir=$out/$core
+        [ "$board" = mill6 ] || dir=$dir.$board
+        run "$core" "$board" "$dir" "${@:2}" >"$dir.said" &
+        runs+=("$! $dir.said")
+    done
+    for run in "${runs[@]}"; do
+        wait "${run%% *}" || failed=1
+        cat "${run#* }"
+    done
 done
 exit $failed
