@@ -36,14 +36,14 @@ struct Bus {
     bool sck_was = false;
     // What is at the pads is not what drives them, and must not matter to it: any levels at any
     // time.
-    uint32_t steps = 0, pwms = 0, outs = 0;  // a bit per pin
+    uint32_t step_pads = 0, pwm_pads = 0, out_pads = 0;  // a bit per pin
     bool still = false;
     void pads() {
         auto &c = *b.core;
-        c.step_seen = b.random.next() & steps, c.dir_seen = b.random.next() & steps;
-        c.step_n_seen = b.random.next() & steps, c.dir_n_seen = b.random.next() & steps;
-        c.pwm_seen = b.random.next() & pwms, c.pwm_dir_seen = b.random.next() & pwms;
-        c.outputs_seen = b.random.next() & outs;
+        c.step_seen = b.random.next() & step_pads, c.dir_seen = b.random.next() & step_pads;
+        c.step_n_seen = b.random.next() & step_pads, c.dir_n_seen = b.random.next() & step_pads;
+        c.pwm_seen = b.random.next() & pwm_pads, c.pwm_dir_seen = b.random.next() & pwm_pads;
+        c.outputs_seen = b.random.next() & out_pads;
     }
     std::vector<uint32_t> beats = {0};  // of the PHY's clock, in so many clocks
     void clock() {
@@ -95,450 +95,504 @@ struct Bus {
 
 static std::string nth(const char *kind, unsigned n, const char *reg) { return kind + std::to_string(n) + reg; }
 
-int main(int argc, char **argv) {
-    B b("cores", argc, argv);
-    Bus k(b);
-    auto &c = *b.core;
-    auto &r = b.random;
-    c.we = c.rst = c.ext_reset = c.inputs = c.enc_a = c.enc_b = c.enc_i = c.enc_mask = c.step_index = 0;
-    c.frame_done = c.frame_slot = c.frame_pending = c.pending_slot = 0;
-    c.abi = 0x12345678;
-    c.spi_miso = c.factory = c.eth_beat = 0;
-    c.step_seen = c.dir_seen = c.step_n_seen = c.dir_n_seen = c.pwm_seen = c.pwm_dir_seen = c.outputs_seen = 0;
-    b.settle();
-    k.widest_step = c.step | c.step_n;  // a bit per channel
-    k.run(40);
+struct Tests : Bus {
+    Vcores &c = *b.core;
+    Random &r = b.random;
+    unsigned steps = 0, encoders = 0, pwms = 0, ins = 0, outs = 0;
+    uint32_t estops = 0, trigger = 0, free_inputs = 0;  // inputs, a bit each
+    std::map<std::string, uint32_t> wrote;
+    unsigned absent = 0;
 
-    // Identity.
-    k.expect("ident.magic", 0x46436e43);
-    k.expect("ident.abi", 0x12345678);
-    const uint32_t counts = k.read("ident.channels0"), pins = k.read("ident.channels1"), hz = k.read("ident.sys_clk_hz");
-    const unsigned steps = counts & 255, encoders = counts >> 8 & 255, pwms = counts >> 16 & 255, ins = pins & 255, outs = pins >> 8 & 255;
-    CHECK(b, hz >= 10000000 && steps && encoders && pwms && ins && outs, "an empty board");
-    CHECK(b, k.widest_step == (1u << steps) - 1, "%u step generators, pins %x", steps, k.widest_step);
-    k.steps = (1u << steps) - 1, k.pwms = (1u << pwms) - 1, k.outs = uint32_t((1ull << outs) - 1);
-    const uint32_t estops = k.read("gpio.estop_mask"), trigger = k.read("gpio.estop_level");
-    CHECK(b, estops && !(trigger & ~estops) && estops >> (ins - 1) == 1, "e-stop inputs %x, level %x", estops, trigger);
-    const uint32_t free_inputs = uint32_t((1ull << ins) - 1) & ~estops;
-    // no e-stop active
-    auto drive = [&](uint32_t levels) { c.inputs = (levels & free_inputs) | (estops & ~trigger); };
-    drive(0);
+    explicit Tests(B &b) : Bus(b) {}
 
-    // Every register: absent channels read 0 and ignore writes; present ones read back what was
-    // written.
-    auto present = [&](const std::string &name) {
+    // No e-stop is active.
+    void drive(uint32_t levels) { c.inputs = (levels & free_inputs) | (estops & ~trigger); }
+    bool present(const std::string &name) {
         for (auto [kind, n] : {std::pair{"stepgen", steps}, {"encoder", encoders}, {"pwm", pwms}})
             for (auto prefix : {std::string(kind), std::string("command.") + kind, std::string("status.") + kind})
                 if (name.rfind(prefix, 0) == 0 && isdigit(name[prefix.size()])) return unsigned(atoi(name.c_str() + prefix.size())) < n;
         if (name.rfind("debounce.in", 0) == 0) return unsigned(atoi(name.c_str() + 11)) < ins;
-        if (name.rfind("segments.", 0) == 0) return (k.read("ident.features") & 1) != 0;
+        if (name.rfind("segments.", 0) == 0) return (read("ident.features") & 1) != 0;
         return true;
-    };
-    std::map<std::string, uint32_t> wrote;
-    unsigned absent = 0;
-    for (auto &[name, reg] : k.map) {
-        if (reg.access == "ro" || name == "watchdog.control" || name == "timebase.strobe" || name == "flash.data") continue;
-        const uint32_t value = r.next();
-        k.write(name, value);
-        if (reg.access == "rw" && present(name)) wrote[name] = value;
     }
-    for (auto &[name, value] : wrote) {
-        uint32_t mask = k.map[name].mask;
-        if (name == "gpio.safe" || name == "gpio.invert_out" || name == "command.gpio_out" || name == "segments.mask") mask = uint32_t((1ull << outs) - 1);
-        const uint32_t is = k.read(name);
-        CHECK(b, (is & mask) == (value & mask), "%s reads %08x, wrote %08x", name.c_str(), is, value);
+    // Sampled words of one clock, valid when the wide counters have visited all channels.
+    void sample() {
+        write("timebase.strobe", 2);
+        run(18);
     }
-    for (auto &[name, reg] : k.map)
-        if (reg.access == "wo" || !present(name)) k.expect(name, 0), absent++;
-    for (unsigned n = 0; n < 4000; n++) {  // addresses between the registers do not answer
-        const uint32_t address = r.below(1 << 16);
-        bool known = address < 8 * 512;  // LiteX's
-        for (auto &[name, reg] : k.map) known |= reg.at == address;
-        if (!known) CHECK(b, k.peek(address) == 0, "something at word %x", address);
+    // Arm bits of the four kinds of latch; a channel has one latch, for its index and for the
+    // probe.
+    void arm(uint32_t enc_index, uint32_t enc_probe, uint32_t step_index, uint32_t step_probe) {
+        write("command.enables", enc_index << 16 | 0xffff);
+        write("command.arms", enc_probe << 16 | step_index);
+        write("command.probe_arms", step_probe);
+        write("timebase.strobe", 1);
+        run(40);
+        sample();
     }
-    CHECK(b, !c.gate, "writing settings opened the gate");
+    void flags(uint32_t enc_index, uint32_t enc_probe, uint32_t step_index, uint32_t step_probe) {
+        const uint32_t is[4] = {read("status.flags0") & 0xffff, read("status.flags1") >> 16, read("status.flags1") & 0xffff, read("status.flags2") & 0xffff};
+        CHECK(b, is[0] == enc_index && is[1] == enc_probe && is[2] == step_index && is[3] == step_probe, "flags %x %x %x %x", is[0], is[1], is[2], is[3]);
+    }
 
-    // Quiet settings for all tests below.
-    for (auto &[name, value] : wrote) k.write(name, 0);
-    for (unsigned n = 0; n < pwms; n++) k.write(nth("pwm", n, ".period"), 100);
-    k.write("watchdog.timeout", 0xFFFFFFFF);
-    k.write("watchdog.grace", 1000);
-    k.write("watchdog.control", 0x434c5231);
-
-    // Time: the snapshot catches the clock of the write, always the same number of clocks after it
+    void powers_up() {
+        c.we = c.rst = c.ext_reset = c.inputs = c.enc_a = c.enc_b = c.enc_i = c.enc_mask = c.step_index = 0;
+        c.frame_done = c.frame_slot = c.frame_pending = c.pending_slot = 0;
+        c.abi = 0x12345678;
+        c.spi_miso = c.factory = c.eth_beat = 0;
+        c.step_seen = c.dir_seen = c.step_n_seen = c.dir_n_seen = c.pwm_seen = c.pwm_dir_seen = c.outputs_seen = 0;
+        b.settle();
+        widest_step = c.step | c.step_n;  // a bit per channel
+        run(40);
+    }
+    void says_what_it_is() {
+        expect("ident.magic", 0x46436e43);
+        expect("ident.abi", 0x12345678);
+        const uint32_t counts = read("ident.channels0"), pins = read("ident.channels1"), hz = read("ident.sys_clk_hz");
+        steps = counts & 255, encoders = counts >> 8 & 255, pwms = counts >> 16 & 255, ins = pins & 255, outs = pins >> 8 & 255;
+        CHECK(b, hz >= 10000000 && steps && encoders && pwms && ins && outs, "an empty board");
+        CHECK(b, widest_step == (1u << steps) - 1, "%u step generators, pins %x", steps, widest_step);
+        step_pads = (1u << steps) - 1, pwm_pads = (1u << pwms) - 1, out_pads = uint32_t((1ull << outs) - 1);
+        estops = read("gpio.estop_mask"), trigger = read("gpio.estop_level");
+        CHECK(b, estops && !(trigger & ~estops) && estops >> (ins - 1) == 1, "e-stop inputs %x, level %x", estops, trigger);
+        free_inputs = uint32_t((1ull << ins) - 1) & ~estops;
+        drive(0);
+    }
+    // Absent channels read 0 and ignore writes; present ones read back what was written.
+    void every_register_reads_back() {
+        for (auto &[name, reg] : map) {
+            if (reg.access == "ro" || name == "watchdog.control" || name == "timebase.strobe" || name == "flash.data") continue;
+            const uint32_t value = r.next();
+            write(name, value);
+            if (reg.access == "rw" && present(name)) wrote[name] = value;
+        }
+        for (auto &[name, value] : wrote) {
+            uint32_t mask = map[name].mask;
+            if (name == "gpio.safe" || name == "gpio.invert_out" || name == "command.gpio_out" || name == "segments.mask") mask = uint32_t((1ull << outs) - 1);
+            const uint32_t is = read(name);
+            CHECK(b, (is & mask) == (value & mask), "%s reads %08x, wrote %08x", name.c_str(), is, value);
+        }
+        for (auto &[name, reg] : map)
+            if (reg.access == "wo" || !present(name)) expect(name, 0), absent++;
+        for (unsigned n = 0; n < 4000; n++) {  // addresses between the registers do not answer
+            const uint32_t address = r.below(1 << 16);
+            bool known = address < 8 * 512;  // LiteX's
+            for (auto &[name, reg] : map) known |= reg.at == address;
+            if (!known) CHECK(b, peek(address) == 0, "something at word %x", address);
+        }
+        CHECK(b, !c.gate, "writing settings opened the gate");
+    }
+    // For all tests below.
+    void quiet_settings() {
+        for (auto &[name, value] : wrote) write(name, 0);
+        for (unsigned n = 0; n < pwms; n++) write(nth("pwm", n, ".period"), 100);
+        write("watchdog.timeout", 0xFFFFFFFF);
+        write("watchdog.grace", 1000);
+        write("watchdog.control", 0x434c5231);
+    }
+    // It catches the clock of the write, always the same number of clocks after it
     // began.
-    auto snapshot = [&] {
-        const uint64_t began = k.now;
-        k.write("timebase.snapshot", 0);
-        k.run(r.below(100));
-        const uint64_t caught = k.read64("timebase.now");
-        CHECK(b, caught < k.beats.size(), "the wall clock is ahead");
-        k.expect("timebase.eth_beats", k.beats[caught]);  // of the same clock
-        return caught - began;
-    };
-    const uint64_t offset = snapshot();
-    for (unsigned n = 0; n < 20; n++) CHECK(b, snapshot() == offset, "the snapshot is not of the clock it was asked in");
-
-    // The pads, as they are and two clocks late; what drives them stands at rest.
-    k.expect("ident.features", (k.read("ident.features") & 1) | 2);
-    k.still = true;
-    for (unsigned round = 0; round < 200; round++) {
-        auto all = [&] {
-            return std::vector<uint32_t>{c.step_seen | uint32_t(c.dir_seen) << 16, c.step_n_seen | uint32_t(c.dir_n_seen) << 16, c.pwm_seen | uint32_t(c.pwm_dir_seen) << 16, c.outputs_seen};
+    void a_snapshot_is_of_its_clock() {
+        auto snapshot = [&] {
+            const uint64_t began = now;
+            write("timebase.snapshot", 0);
+            run(r.below(100));
+            const uint64_t caught = read64("timebase.now");
+            CHECK(b, caught < beats.size(), "the wall clock is ahead");
+            expect("timebase.eth_beats", beats[caught]);  // of the same clock
+            return caught - began;
         };
-        static const char *const names[] = {"pads.step", "pads.step_n", "pads.pwm", "pads.outputs"};
-        k.pads();
-        k.run(2);
-        const auto old = all();
-        for (unsigned n = 0; n < 4; n++) k.expect(names[n], old[n]);
-        const unsigned n = r.below(4);
-        k.pads();
-        k.expect(names[n], old[n]);
-        k.expect(names[n], all()[n]);
+        const uint64_t offset = snapshot();
+        for (unsigned n = 0; n < 20; n++) CHECK(b, snapshot() == offset, "the snapshot is not of the clock it was asked in");
     }
-    k.still = false;
-
+    // As they are and two clocks late; what drives them stands at rest.
+    void the_pads_read_as_they_are() {
+        expect("ident.features", (read("ident.features") & 1) | 2);
+        still = true;
+        for (unsigned round = 0; round < 200; round++) {
+            auto all = [&] {
+                return std::vector<uint32_t>{c.step_seen | uint32_t(c.dir_seen) << 16, c.step_n_seen | uint32_t(c.dir_n_seen) << 16, c.pwm_seen | uint32_t(c.pwm_dir_seen) << 16, c.outputs_seen};
+            };
+            static const char *const names[] = {"pads.step", "pads.step_n", "pads.pwm", "pads.outputs"};
+            pads();
+            run(2);
+            const auto old = all();
+            for (unsigned n = 0; n < 4; n++) expect(names[n], old[n]);
+            const unsigned n = r.below(4);
+            pads();
+            expect(names[n], old[n]);
+            expect(names[n], all()[n]);
+        }
+        still = false;
+    }
     // Turning pins over looked like pulses: count from here.
-    k.pulses.assign(16, 0);
-    k.first_rise.assign(16, 0);
-
-    // Gate: an unknown key does nothing, ARM opens.
-    k.write("watchdog.control", 0x41524d30);
-    CHECK(b, !c.gate, "any word arms");
-    k.write("watchdog.control", 0x41524d31);
-    CHECK(b, c.gate, "does not arm");
-    k.expect("watchdog.status", 0x21);
-
+    void count_from_here() {
+        pulses.assign(16, 0);
+        first_rise.assign(16, 0);
+    }
+    // An unknown key does nothing, ARM opens.
+    void only_its_key_arms() {
+        write("watchdog.control", 0x41524d30);
+        CHECK(b, !c.gate, "any word arms");
+        write("watchdog.control", 0x41524d31);
+        CHECK(b, c.gate, "does not arm");
+        expect("watchdog.status", 0x21);
+    }
     // A staged command changes nothing; the strobe starts every channel on one clock, and samples
     // on the same.
-    for (unsigned n = 0; n < steps; n++) {
-        k.write(nth("command.stepgen", n, "_velocity"), 0x04000000);
-        k.write(nth("command.stepgen", n, "_accel"), 0);
-        CHECK(b, c.step == 0, "moves before the strobe");
-    }
-    for (unsigned n = 0; n < pwms; n++) k.write(nth("command.pwm", n, "_width"), 0x40000000 | 100 << 8);
-    k.write("command.gpio_out", 0x5a5a5a5a);
-    k.write("command.enables", 0x0000ffff);
-    k.run(300);
-    CHECK(b, c.step == 0 && c.pwm == 0 && c.outputs == 0, "moves before the strobe");
-    k.write("timebase.strobe", 3);
-    k.run(1000);
-    for (unsigned n = 0; n < steps; n++)
-        CHECK(b, k.first_rise[n] && k.first_rise[n] == k.first_rise[0], "channels 0 and %u start at %llu and %llu", n, (unsigned long long)k.first_rise[0], (unsigned long long)k.first_rise[n]);
-    CHECK(b, c.pwm == (1u << pwms) - 1, "pwm %x", c.pwm);
-    CHECK(b, c.outputs == (0x5a5a5a5a & ((1ull << outs) - 1)), "outputs %x", c.outputs);
-    k.expect("gpio.out_now", c.outputs);
-
-    // The sample: one clock, all words; coherent with the pins; reading changes nothing.
-    for (unsigned round = 0; round < 200; round++) {
-        for (unsigned n = 0; n < steps; n++) k.write(nth("command.stepgen", n, "_velocity"), r.one_in(6) ? 0x80000000 : uint32_t(r.next()));
-        k.run(r.below(300));
-        drive(uint32_t(r.next()));
-        k.run(40);  // a debouncer with limit 0 takes 35 clocks
-        const auto at_strobe = k.pulses;
-        c.adr = k.at("timebase.strobe"), c.dat_w = round & 1 ? 3 : 2, c.we = 1;
-        k.clock();
-        const auto one_later = k.pulses;
-        c.we = 0;
-        k.run(18);  // until the wide counters have visited all channels
-        const uint64_t when = k.read64("status.sample");
-        k.run(r.below(50));
-        CHECK(b, when == k.read64("status.sample"), "reading changed the sample");
-        k.expect("status.gpio_in", c.inputs);
+    void all_start_on_one_clock() {
         for (unsigned n = 0; n < steps; n++) {
-            const int32_t hi = k.read(nth("status.stepgen", n, "_position_hi")), v = k.read(nth("status.stepgen", n, "_velocity"));
-            CHECK(b, hi == at_strobe[n] || hi == one_later[n], "stepgen %u: sample %d, pins %lld", n, hi, (long long)one_later[n]);
-            CHECK(b, v != INT32_MIN, "stepgen %u runs at -2^31", n);
+            write(nth("command.stepgen", n, "_velocity"), 0x04000000);
+            write(nth("command.stepgen", n, "_accel"), 0);
+            CHECK(b, c.step == 0, "moves before the strobe");
+        }
+        for (unsigned n = 0; n < pwms; n++) write(nth("command.pwm", n, "_width"), 0x40000000 | 100 << 8);
+        write("command.gpio_out", 0x5a5a5a5a);
+        write("command.enables", 0x0000ffff);
+        run(300);
+        CHECK(b, c.step == 0 && c.pwm == 0 && c.outputs == 0, "moves before the strobe");
+        write("timebase.strobe", 3);
+        run(1000);
+        for (unsigned n = 0; n < steps; n++)
+            CHECK(b, first_rise[n] && first_rise[n] == first_rise[0], "channels 0 and %u start at %llu and %llu", n, (unsigned long long)first_rise[0], (unsigned long long)first_rise[n]);
+        CHECK(b, c.pwm == (1u << pwms) - 1, "pwm %x", c.pwm);
+        CHECK(b, c.outputs == (0x5a5a5a5a & ((1ull << outs) - 1)), "outputs %x", c.outputs);
+        expect("gpio.out_now", c.outputs);
+    }
+    // All words of it; coherent with the pins; reading changes nothing.
+    void a_sample_is_of_one_clock() {
+        for (unsigned round = 0; round < 200; round++) {
+            for (unsigned n = 0; n < steps; n++) write(nth("command.stepgen", n, "_velocity"), r.one_in(6) ? 0x80000000 : uint32_t(r.next()));
+            run(r.below(300));
+            drive(uint32_t(r.next()));
+            run(40);  // a debouncer with limit 0 takes 35 clocks
+            const auto at_strobe = pulses;
+            c.adr = at("timebase.strobe"), c.dat_w = round & 1 ? 3 : 2, c.we = 1;
+            clock();
+            const auto one_later = pulses;
+            c.we = 0;
+            run(18);  // until the wide counters have visited all channels
+            const uint64_t when = read64("status.sample");
+            run(r.below(50));
+            CHECK(b, when == read64("status.sample"), "reading changed the sample");
+            expect("status.gpio_in", c.inputs);
+            for (unsigned n = 0; n < steps; n++) {
+                const int32_t hi = read(nth("status.stepgen", n, "_position_hi")), v = read(nth("status.stepgen", n, "_velocity"));
+                CHECK(b, hi == at_strobe[n] || hi == one_later[n], "stepgen %u: sample %d, pins %lld", n, hi, (long long)one_later[n]);
+                CHECK(b, v != INT32_MIN, "stepgen %u runs at -2^31", n);
+            }
         }
     }
     // Constant velocities, a different one for each channel: every channel's words are its own and
     // of the strobe's clock, from 18 clocks after it on, in any order of reading.
-    unsigned moved = 0;
-    for (unsigned round = 0; round < 60; round++) {
-        uint64_t position[2][16], when[2];
-        std::vector<int32_t> velocity(steps);
-        for (unsigned n = 0; n < steps; n++) k.write(nth("command.stepgen", n, "_velocity"), velocity[n] = int32_t(r.next()) >> 8);
-        k.write("timebase.strobe", 1);
-        k.run(50 + r.below(50));
-        for (unsigned s = 0; s < 2; s++) {
-            k.write("timebase.strobe", 2);  // and one clock more
-            k.run(17);
-            for (unsigned begin = r.below(steps), i = 0; i < steps; i++) {
-                const unsigned n = (begin + i) % steps;
-                position[s][n] = k.read(nth("status.stepgen", n, "_position_lo"));
-                k.expect(nth("status.stepgen", n, "_velocity"), velocity[n]);
-                position[s][n] |= uint64_t(k.read(nth("status.stepgen", n, "_position_hi"))) << 32;
+    void every_channel_moves_its_own_way() {
+        unsigned moved = 0;
+        for (unsigned round = 0; round < 60; round++) {
+            uint64_t position[2][16], when[2];
+            std::vector<int32_t> velocity(steps);
+            for (unsigned n = 0; n < steps; n++) write(nth("command.stepgen", n, "_velocity"), velocity[n] = int32_t(r.next()) >> 8);
+            write("timebase.strobe", 1);
+            run(50 + r.below(50));
+            for (unsigned s = 0; s < 2; s++) {
+                write("timebase.strobe", 2);  // and one clock more
+                run(17);
+                for (unsigned begin = r.below(steps), i = 0; i < steps; i++) {
+                    const unsigned n = (begin + i) % steps;
+                    position[s][n] = read(nth("status.stepgen", n, "_position_lo"));
+                    expect(nth("status.stepgen", n, "_velocity"), velocity[n]);
+                    position[s][n] |= uint64_t(read(nth("status.stepgen", n, "_position_hi"))) << 32;
+                }
+                when[s] = read64("status.sample");
+                run(r.below(3000));
             }
-            when[s] = k.read64("status.sample");
-            k.run(r.below(3000));
+            const uint32_t limited = read("status.flags0") >> 16;
+            for (unsigned n = 0; n < steps; n++) {
+                if (limited >> n & 1) continue;  // a reversal: the pulse waited for its direction
+                const int64_t way = position[1][n] - position[0][n], expected = velocity[n] * int64_t(when[1] - when[0]);
+                CHECK(b, way == expected, "stepgen %u: moves %lld in %lld clocks at %d", n, (long long)way, (long long)(when[1] - when[0]), velocity[n]);
+                moved++;
+            }
         }
-        const uint32_t limited = k.read("status.flags0") >> 16;
-        for (unsigned n = 0; n < steps; n++) {
-            if (limited >> n & 1) continue;  // a reversal: the pulse waited for its direction
-            const int64_t way = position[1][n] - position[0][n], expected = velocity[n] * int64_t(when[1] - when[0]);
-            CHECK(b, way == expected, "stepgen %u: moves %lld in %lld clocks at %d", n, (long long)way, (long long)(when[1] - when[0]), velocity[n]);
-            moved++;
-        }
+        CHECK(b, moved > 30 * steps, "only %u of %u ways checked", moved, 60 * steps);
     }
-    CHECK(b, moved > 30 * steps, "only %u of %u ways checked", moved, 60 * steps);
     // A velocity above what the timing allows: one channel reports it, until it has obeyed for a
     // whole sample.
-    for (unsigned n = 0; n < steps; n++) k.write(nth("command.stepgen", n, "_velocity"), n ? 0 : 0x7fffffff);
-    k.write("stepgen0.steplen", 50);
-    k.write("timebase.strobe", 3);
-    k.run(300);
-    k.write("timebase.strobe", 2);
-    CHECK(b, k.read("status.flags0") >> 16 == 1, "limited flags %x", k.read("status.flags0"));
-    k.write("stepgen0.steplen", 1);
-    k.write("command.stepgen0_velocity", 1000);
-    k.write("timebase.strobe", 1);
-    k.run(300);
-    k.write("timebase.strobe", 2);
-    k.write("timebase.strobe", 2);
-    CHECK(b, k.read("status.flags0") >> 16 == 0, "limited flags %x", k.read("status.flags0"));
-
-    // A commit at its time, to the clock.
-    for (unsigned round = 0; round < 50; round++) {
-        k.write("command.gpio_out", 0);
-        k.write("timebase.strobe", 1);
-        k.write("command.gpio_out", ~0u);
-        k.write("timebase.snapshot", 0);
-        const uint64_t base = k.read64("timebase.now"), here = k.now;
-        const uint64_t target = base + 60 + r.below(200);
-        k.write("timebase.commit_at_lo", uint32_t(target));
-        k.write("timebase.commit_at_hi", target >> 32);
-        k.write("timebase.strobe", 4);
-        k.expect("timebase.status", 1);
-        uint64_t n = 0;
-        for (; !c.outputs; n++) {
-            k.clock();
-            CHECK(b, n < 1000, "a timed commit never comes");
-        }
-        static int64_t lag = INT64_MIN;  // from the commit clock to the pins: the same every time
-        const int64_t is = int64_t(k.now - here) - int64_t(target - base);
-        if (lag == INT64_MIN) lag = is;
-        CHECK(b, is == lag, "a timed commit is %lld clocks off", (long long)(is - lag));
-        k.expect("timebase.status", 0);
+    void a_velocity_too_high_is_reported() {
+        for (unsigned n = 0; n < steps; n++) write(nth("command.stepgen", n, "_velocity"), n ? 0 : 0x7fffffff);
+        write("stepgen0.steplen", 50);
+        write("timebase.strobe", 3);
+        run(300);
+        write("timebase.strobe", 2);
+        CHECK(b, read("status.flags0") >> 16 == 1, "limited flags %x", read("status.flags0"));
+        write("stepgen0.steplen", 1);
+        write("command.stepgen0_velocity", 1000);
+        write("timebase.strobe", 1);
+        run(300);
+        write("timebase.strobe", 2);
+        write("timebase.strobe", 2);
+        CHECK(b, read("status.flags0") >> 16 == 0, "limited flags %x", read("status.flags0"));
     }
-
-    // Sampled words of one clock, valid when the wide counters have visited all channels.
-    auto sample = [&] {
-        k.write("timebase.strobe", 2);
-        k.run(18);
-    };
-    // Arm bits of the four kinds of latch; a channel has one latch, for its index and for the
-    // probe.
-    auto arm = [&](uint32_t enc_index, uint32_t enc_probe, uint32_t step_index, uint32_t step_probe) {
-        k.write("command.enables", enc_index << 16 | 0xffff);
-        k.write("command.arms", enc_probe << 16 | step_index);
-        k.write("command.probe_arms", step_probe);
-        k.write("timebase.strobe", 1);
-        k.run(40);
-        sample();
-    };
-    auto flags = [&](uint32_t enc_index, uint32_t enc_probe, uint32_t step_index, uint32_t step_probe) {
-        const uint32_t is[4] = {k.read("status.flags0") & 0xffff, k.read("status.flags1") >> 16, k.read("status.flags1") & 0xffff, k.read("status.flags2") & 0xffff};
-        CHECK(b, is[0] == enc_index && is[1] == enc_probe && is[2] == step_index && is[3] == step_probe, "flags %x %x %x %x", is[0], is[1], is[2], is[3]);
-    };
-
-    // Encoders: a few edges, an index, an illegal edge.
-    for (unsigned n = 0; n < encoders; n++) {
-        static const int gray[4] = {0, 1, 3, 2};
-        const unsigned edges = 5 + n;
-        arm(1u << n, 0, 0, 0);
-        for (unsigned e = 1; e <= edges; e++) {
-            c.enc_a = (c.enc_a & ~(1u << n)) | (gray[e & 3] & 1) << n, c.enc_b = (c.enc_b & ~(1u << n)) | (gray[e & 3] >> 1) << n;
-            k.run(8);
-            if (e == 3) c.enc_i |= 1u << n;
-            k.run(8);
+    // To the clock.
+    void a_timed_commit_comes_at_its_time() {
+        for (unsigned round = 0; round < 50; round++) {
+            write("command.gpio_out", 0);
+            write("timebase.strobe", 1);
+            write("command.gpio_out", ~0u);
+            write("timebase.snapshot", 0);
+            const uint64_t base = read64("timebase.now"), here = now;
+            const uint64_t target = base + 60 + r.below(200);
+            write("timebase.commit_at_lo", uint32_t(target));
+            write("timebase.commit_at_hi", target >> 32);
+            write("timebase.strobe", 4);
+            expect("timebase.status", 1);
+            uint64_t n = 0;
+            for (; !c.outputs; n++) {
+                clock();
+                CHECK(b, n < 1000, "a timed commit never comes");
+            }
+            static int64_t lag = INT64_MIN;  // from the commit clock to the pins: the same every time
+            const int64_t is = int64_t(now - here) - int64_t(target - base);
+            if (lag == INT64_MIN) lag = is;
+            CHECK(b, is == lag, "a timed commit is %lld clocks off", (long long)(is - lag));
+            expect("timebase.status", 0);
         }
-        k.run(40);
-        sample();
-        k.expect(nth("status.encoder", n, "_count"), edges);
-        k.expect(nth("status.encoder", n, "_latch"), 3);
-        flags(1u << n, 0, 0, 0);
-        const uint32_t edge = k.read(nth("status.encoder", n, "_edge"));
-        CHECK(b, edge >> 24 == 0 && (k.read("status.sample_lo") - edge & 0xffffff) < 100, "edge word %x, sample at %x", edge, k.read("status.sample_lo"));
-        c.enc_a ^= 1u << n, c.enc_b ^= 1u << n;
-        k.run(40);
-        sample();
-        CHECK(b, k.read(nth("status.encoder", n, "_edge")) >> 24 == 1 && k.read("status.flags2") >> 16 == 1u << n, "an illegal edge is not told");
-        sample();
-        CHECK(b, k.read("status.flags2") >> 16 == 0, "an illegal edge is told twice");
-        arm(0, 0, 0, 0);
-        flags(0, 0, 0, 0);
+    }
+    // A few edges, an index, an illegal edge.
+    void encoders_count_and_latch() {
+        for (unsigned n = 0; n < encoders; n++) {
+            static const int gray[4] = {0, 1, 3, 2};
+            const unsigned edges = 5 + n;
+            arm(1u << n, 0, 0, 0);
+            for (unsigned e = 1; e <= edges; e++) {
+                c.enc_a = (c.enc_a & ~(1u << n)) | (gray[e & 3] & 1) << n, c.enc_b = (c.enc_b & ~(1u << n)) | (gray[e & 3] >> 1) << n;
+                run(8);
+                if (e == 3) c.enc_i |= 1u << n;
+                run(8);
+            }
+            run(40);
+            sample();
+            expect(nth("status.encoder", n, "_count"), edges);
+            expect(nth("status.encoder", n, "_latch"), 3);
+            flags(1u << n, 0, 0, 0);
+            const uint32_t edge = read(nth("status.encoder", n, "_edge"));
+            CHECK(b, edge >> 24 == 0 && (read("status.sample_lo") - edge & 0xffffff) < 100, "edge word %x, sample at %x", edge, read("status.sample_lo"));
+            c.enc_a ^= 1u << n, c.enc_b ^= 1u << n;
+            run(40);
+            sample();
+            CHECK(b, read(nth("status.encoder", n, "_edge")) >> 24 == 1 && read("status.flags2") >> 16 == 1u << n, "an illegal edge is not told");
+            sample();
+            CHECK(b, read("status.flags2") >> 16 == 0, "an illegal edge is told twice");
+            arm(0, 0, 0, 0);
+            flags(0, 0, 0, 0);
+        }
     }
     // Modes reach the core: the counter, the polarity of the index, its mask, and clear on index.
-    for (unsigned n = 0; n < encoders; n++) {
-        k.write(nth("encoder", n, ".mode"), 3 | 1 << 4 | 1 << 5 | 1 << 7);
-        k.run(40);
-        arm(1u << n, 0, 0, 0);
-        const uint32_t from = k.read(nth("status.encoder", n, "_count"));
-        auto turn = [&](unsigned edges) {
-            while (edges--) c.enc_a &= ~(1u << n), k.run(8), c.enc_a |= 1u << n, k.run(8);
-        };
-        turn(2);
-        c.enc_i &= ~(1u << n), k.run(8), c.enc_i |= 1u << n, k.run(40);
-        flags(0, 0, 0, 0);
-        c.enc_mask |= 1u << n;
-        k.run(40);
-        c.enc_i &= ~(1u << n), k.run(8), turn(3), k.run(40);
-        sample();
-        k.expect(nth("status.encoder", n, "_latch"), from + 2);
-        k.expect(nth("status.encoder", n, "_count"), 3);
-        flags(1u << n, 0, 0, 0);
-        c.enc_i |= 1u << n, c.enc_mask &= ~(1u << n);
-        arm(0, 0, 0, 0);
-        k.write(nth("encoder", n, ".mode"), 0);
+    void modes_reach_the_encoders() {
+        for (unsigned n = 0; n < encoders; n++) {
+            write(nth("encoder", n, ".mode"), 3 | 1 << 4 | 1 << 5 | 1 << 7);
+            run(40);
+            arm(1u << n, 0, 0, 0);
+            const uint32_t from = read(nth("status.encoder", n, "_count"));
+            auto turn = [&](unsigned edges) {
+                while (edges--) c.enc_a &= ~(1u << n), run(8), c.enc_a |= 1u << n, run(8);
+            };
+            turn(2);
+            c.enc_i &= ~(1u << n), run(8), c.enc_i |= 1u << n, run(40);
+            flags(0, 0, 0, 0);
+            c.enc_mask |= 1u << n;
+            run(40);
+            c.enc_i &= ~(1u << n), run(8), turn(3), run(40);
+            sample();
+            expect(nth("status.encoder", n, "_latch"), from + 2);
+            expect(nth("status.encoder", n, "_count"), 3);
+            flags(1u << n, 0, 0, 0);
+            c.enc_i |= 1u << n, c.enc_mask &= ~(1u << n);
+            arm(0, 0, 0, 0);
+            write(nth("encoder", n, ".mode"), 0);
+        }
     }
-    // The probe: one input for all channels, each with its own arm bit; then the index pins of the
+    // The probe is one input for all channels, each with its own arm bit; then the index pins of the
     // step generators.
-    for (unsigned round = 0; round < 4; round++) {
-        const unsigned input = r.below(ins - 1), low = r.below(2);
-        drive(low ? ~0u : 0);
-        k.write("gpio.probe", input | 1 << 8 | low << 9);
-        k.run(40);
-        const uint32_t chosen_e = r.next() & ((1u << encoders) - 1), chosen_s = r.next() & ((1u << steps) - 1);
-        for (unsigned n = 0; n < steps; n++) k.write(nth("command.stepgen", n, "_velocity"), 0);
-        arm(0, chosen_e, 0, chosen_s);
-        flags(0, 0, 0, 0);
-        drive(low ? ~(1u << input) : 1u << input);
-        k.run(40);
-        sample();
-        flags(0, chosen_e, 0, chosen_s);
-        for (unsigned n = 0; n < encoders; n++)
-            if (chosen_e >> n & 1) k.expect(nth("status.encoder", n, "_latch"), k.read(nth("status.encoder", n, "_count")));
-        for (unsigned n = 0; n < steps; n++)
-            if (chosen_s >> n & 1) k.expect(nth("status.stepgen", n, "_latch"), k.read(nth("status.stepgen", n, "_position_hi")));
-        arm(0, 0, 0, 0);
-        flags(0, 0, 0, 0);
-        k.write("gpio.probe", 0);
+    void probe_and_index_latch() {
+        for (unsigned round = 0; round < 4; round++) {
+            const unsigned input = r.below(ins - 1), low = r.below(2);
+            drive(low ? ~0u : 0);
+            write("gpio.probe", input | 1 << 8 | low << 9);
+            run(40);
+            const uint32_t chosen_e = r.next() & ((1u << encoders) - 1), chosen_s = r.next() & ((1u << steps) - 1);
+            for (unsigned n = 0; n < steps; n++) write(nth("command.stepgen", n, "_velocity"), 0);
+            arm(0, chosen_e, 0, chosen_s);
+            flags(0, 0, 0, 0);
+            drive(low ? ~(1u << input) : 1u << input);
+            run(40);
+            sample();
+            flags(0, chosen_e, 0, chosen_s);
+            for (unsigned n = 0; n < encoders; n++)
+                if (chosen_e >> n & 1) expect(nth("status.encoder", n, "_latch"), read(nth("status.encoder", n, "_count")));
+            for (unsigned n = 0; n < steps; n++)
+                if (chosen_s >> n & 1) expect(nth("status.stepgen", n, "_latch"), read(nth("status.stepgen", n, "_position_hi")));
+            arm(0, 0, 0, 0);
+            flags(0, 0, 0, 0);
+            write("gpio.probe", 0);
 
-        const unsigned n = r.below(steps), invert = r.below(2);
-        k.write(nth("stepgen", n, ".mode"), invert << 4);
-        c.step_index = invert << n;
-        k.run(4);
-        arm(0, 0, (1u << steps) - 1, 0);
-        c.step_index ^= 1u << n;
-        k.run(40);
-        sample();
-        flags(0, 0, 1u << n, 0);
-        k.expect(nth("status.stepgen", n, "_latch"), k.read(nth("status.stepgen", n, "_position_hi")));
-        c.step_index = 0;
-        k.write(nth("stepgen", n, ".mode"), 0);
-        k.run(4);
-        arm(0, 0, 0, 0);
+            const unsigned n = r.below(steps), invert = r.below(2);
+            write(nth("stepgen", n, ".mode"), invert << 4);
+            c.step_index = invert << n;
+            run(4);
+            arm(0, 0, (1u << steps) - 1, 0);
+            c.step_index ^= 1u << n;
+            run(40);
+            sample();
+            flags(0, 0, 1u << n, 0);
+            expect(nth("status.stepgen", n, "_latch"), read(nth("status.stepgen", n, "_position_hi")));
+            c.step_index = 0;
+            write(nth("stepgen", n, ".mode"), 0);
+            run(4);
+            arm(0, 0, 0, 0);
+        }
     }
-    // Debounce: an input's own limit, and only its own.
-    for (unsigned n = 0; n < ins; n++) {
-        if (estops >> n & 1) continue;
-        drive(0);
-        k.run(80);
-        k.write("debounce.in" + std::to_string(n), 3);
-        k.run(40);  // the limit is taken at the next visit
-        drive(~0u);
-        k.run(80);
-        k.expect("gpio.in_now", free_inputs & ~(1u << n) | (estops & ~trigger));
-        k.expect("gpio.raw_now", c.inputs);
-        k.run(80);
-        k.expect("gpio.in_now", c.inputs);
-        k.write("debounce.in" + std::to_string(n), 0);
+    // Of its debouncer, an input's own limit, and only its own.
+    void each_input_has_its_limit() {
+        for (unsigned n = 0; n < ins; n++) {
+            if (estops >> n & 1) continue;
+            drive(0);
+            run(80);
+            write("debounce.in" + std::to_string(n), 3);
+            run(40);  // the limit is taken at the next visit
+            drive(~0u);
+            run(80);
+            expect("gpio.in_now", free_inputs & ~(1u << n) | (estops & ~trigger));
+            expect("gpio.raw_now", c.inputs);
+            run(80);
+            expect("gpio.in_now", c.inputs);
+            write("debounce.in" + std::to_string(n), 0);
+        }
     }
-
-    // Arrivals: each frame keeps its own time, also when it has to queue.
-    constexpr unsigned SLOTS = 4;
-    uint64_t done[SLOTS];
-    for (unsigned slot = 0; slot < SLOTS; slot++) {
-        c.frame_done = 1, c.frame_slot = slot;
-        k.clock();
-        done[slot] = k.now;
-        c.frame_done = 0, c.frame_pending = 1;
-        k.run(20 + r.below(100));
+    // Each frame keeps its own time, also when it has to queue.
+    void each_frame_has_its_arrival() {
+        constexpr unsigned SLOTS = 4;
+        uint64_t done[SLOTS];
+        for (unsigned slot = 0; slot < SLOTS; slot++) {
+            c.frame_done = 1, c.frame_slot = slot;
+            clock();
+            done[slot] = now;
+            c.frame_done = 0, c.frame_pending = 1;
+            run(20 + r.below(100));
+        }
+        const uint64_t first = read64("timebase.arrival");
+        uint64_t last = first;
+        for (unsigned slot = 1; slot < SLOTS; slot++) {
+            c.pending_slot = slot;
+            run(3);
+            last = read64("timebase.arrival");
+            CHECK(b, last - first == done[slot] - done[0], "slot %u: arrivals %llu clocks apart, expected %llu", slot, (unsigned long long)(last - first), (unsigned long long)(done[slot] - done[0]));
+        }
+        c.frame_pending = 0, c.pending_slot = 0;
+        run(3);
+        CHECK(b, read64("timebase.arrival") == last, "an arrival is forgotten with its frame");
     }
-    const uint64_t first = k.read64("timebase.arrival");
-    uint64_t last = first;
-    for (unsigned slot = 1; slot < SLOTS; slot++) {
-        c.pending_slot = slot;
-        k.run(3);
-        last = k.read64("timebase.arrival");
-        CHECK(b, last - first == done[slot] - done[0], "slot %u: arrivals %llu clocks apart, expected %llu", slot, (unsigned long long)(last - first), (unsigned long long)(done[slot] - done[0]));
-    }
-    c.frame_pending = 0, c.pending_slot = 0;
-    k.run(3);
-    CHECK(b, k.read64("timebase.arrival") == last, "an arrival is forgotten with its frame");
-
-    // The flash's wires: no transfer without select; 32 bits there and back; shorter ones
+    // No transfer without select; 32 bits there and back; shorter ones
     // right-aligned.
-    auto transfer = [&](uint32_t word, unsigned bits) {
-        k.write("flash.length", bits);
-        k.write("flash.data", word);
-        k.expect("flash.status", 1);
-        k.run(4 * (bits ? bits : 32));
-        k.expect("flash.status", 0);
-        return k.read("flash.data");
-    };
-    k.write("flash.length", 32);
-    k.write("flash.data", 0xffffffff);
-    k.run(200);
-    CHECK(b, k.flash == 0 && c.spi_cs_n, "a transfer while not selected");
-    k.write("flash.control", 1);
-    k.run(8);
-    CHECK(b, !c.spi_cs_n, "not selected");
-    const uint32_t there = r.next();
-    transfer(there, 32);
-    CHECK(b, k.flash == there, "sent %08x, arrives %08x", there, k.flash);
-    CHECK(b, transfer(0x9f000000, 8) == there >> 24, "the first byte back");
-    CHECK(b, transfer(0, 0) == (there << 8 | 0x9f), "three bytes back, and the one behind them");
-    k.write("flash.control", 0);
-    k.run(4);
-    CHECK(b, c.spi_cs_n, "selected for ever");
-    c.factory = 1;
-    k.run(4);
-    k.expect("flash.status", 2);
-    c.factory = 0;
-
-    // The watchdog's registers, and their values after STOP.
-    k.write("watchdog.token", 7);
-    k.expect("watchdog.last_token", 7);
-    CHECK(b, k.read("watchdog.remaining") > 0xFFFFFF00, "not fed");
-    k.write("gpio.safe", 0x0f);
-    k.write("gpio.invert_out", 0x03);
-    k.write("watchdog.control", 0x53544f50);
-    k.run(3);
-    CHECK(b, !c.gate && !c.step && !c.pwm && c.outputs == 0x0c, "STOP: gate %d step %x pwm %x out %x", c.gate, c.step, c.pwm, c.outputs);
-    k.expect("watchdog.status", 0);
-    k.expect("watchdog.last_close", 3);
-    c.ext_reset = 1;
-    k.run(4);
-    k.expect("watchdog.status", 0x18);
-    c.ext_reset = 0;
-    k.run(4);
-    k.write("watchdog.control", 0x434c5231);
-    k.write("watchdog.control", 0x41524d31);
-    k.expect("watchdog.status", 0x21);
-
-    // Every e-stop input: the gate in 4 clocks, latched by name, no way back while it is active.
-    for (unsigned n = 0; n < ins; n++) {
-        if (!(estops >> n & 1)) continue;
-        c.inputs ^= 1u << n;
-        k.run(4);
-        CHECK(b, !c.gate, "e-stop input %u does not close the gate", n);
-        k.write("watchdog.control", 0x434c5231);
-        k.write("watchdog.control", 0x41524d31);
-        k.expect("watchdog.status", 0xc0);
-        k.expect("watchdog.last_close", 5);
-        drive(0);
-        k.run(8);
-        k.expect("watchdog.status", 0x40);
-        k.write("timebase.strobe", 2);
-        k.expect("status.estop", 1u << n);
-        k.write("watchdog.control", 0x41524d31);
-        CHECK(b, !c.gate, "arms with an e-stop latched");
-        k.write("watchdog.control", 0x434c5231);
-        k.write("timebase.strobe", 2);
-        k.expect("status.estop", 0);
-        k.write("watchdog.control", 0x41524d31);
-        k.expect("watchdog.status", 0x21);
+    void the_flash_is_at_its_wires() {
+        auto transfer = [&](uint32_t word, unsigned bits) {
+            write("flash.length", bits);
+            write("flash.data", word);
+            expect("flash.status", 1);
+            run(4 * (bits ? bits : 32));
+            expect("flash.status", 0);
+            return read("flash.data");
+        };
+        write("flash.length", 32);
+        write("flash.data", 0xffffffff);
+        run(200);
+        CHECK(b, flash == 0 && c.spi_cs_n, "a transfer while not selected");
+        write("flash.control", 1);
+        run(8);
+        CHECK(b, !c.spi_cs_n, "not selected");
+        const uint32_t there = r.next();
+        transfer(there, 32);
+        CHECK(b, flash == there, "sent %08x, arrives %08x", there, flash);
+        CHECK(b, transfer(0x9f000000, 8) == there >> 24, "the first byte back");
+        CHECK(b, transfer(0, 0) == (there << 8 | 0x9f), "three bytes back, and the one behind them");
+        write("flash.control", 0);
+        run(4);
+        CHECK(b, c.spi_cs_n, "selected for ever");
+        c.factory = 1;
+        run(4);
+        expect("flash.status", 2);
+        c.factory = 0;
     }
-    return b.pass("%zu registers, %zu read back, %u absent or write-only; %u+%u+%u channels", k.map.size(), wrote.size(), absent, steps, encoders, pwms);
+    // The watchdog's registers, and their values behind STOP.
+    void stop_makes_everything_safe() {
+        write("watchdog.token", 7);
+        expect("watchdog.last_token", 7);
+        CHECK(b, read("watchdog.remaining") > 0xFFFFFF00, "not fed");
+        write("gpio.safe", 0x0f);
+        write("gpio.invert_out", 0x03);
+        write("watchdog.control", 0x53544f50);
+        run(3);
+        CHECK(b, !c.gate && !c.step && !c.pwm && c.outputs == 0x0c, "STOP: gate %d step %x pwm %x out %x", c.gate, c.step, c.pwm, c.outputs);
+        expect("watchdog.status", 0);
+        expect("watchdog.last_close", 3);
+        c.ext_reset = 1;
+        run(4);
+        expect("watchdog.status", 0x18);
+        c.ext_reset = 0;
+        run(4);
+        write("watchdog.control", 0x434c5231);
+        write("watchdog.control", 0x41524d31);
+        expect("watchdog.status", 0x21);
+    }
+    // The gate in 4 clocks, latched by name, no way back while it is active.
+    void every_estop_closes_the_gate() {
+        for (unsigned n = 0; n < ins; n++) {
+            if (!(estops >> n & 1)) continue;
+            c.inputs ^= 1u << n;
+            run(4);
+            CHECK(b, !c.gate, "e-stop input %u does not close the gate", n);
+            write("watchdog.control", 0x434c5231);
+            write("watchdog.control", 0x41524d31);
+            expect("watchdog.status", 0xc0);
+            expect("watchdog.last_close", 5);
+            drive(0);
+            run(8);
+            expect("watchdog.status", 0x40);
+            write("timebase.strobe", 2);
+            expect("status.estop", 1u << n);
+            write("watchdog.control", 0x41524d31);
+            CHECK(b, !c.gate, "arms with an e-stop latched");
+            write("watchdog.control", 0x434c5231);
+            write("timebase.strobe", 2);
+            expect("status.estop", 0);
+            write("watchdog.control", 0x41524d31);
+            expect("watchdog.status", 0x21);
+        }
+    }
+};
+
+int main(int argc, char **argv) {
+    B b("cores", argc, argv);
+    Tests t(b);
+    t.powers_up();
+    t.says_what_it_is();
+    t.every_register_reads_back();
+    t.quiet_settings();
+    t.a_snapshot_is_of_its_clock();
+    t.the_pads_read_as_they_are();
+    t.count_from_here();
+    t.only_its_key_arms();
+    t.all_start_on_one_clock();
+    t.a_sample_is_of_one_clock();
+    t.every_channel_moves_its_own_way();
+    t.a_velocity_too_high_is_reported();
+    t.a_timed_commit_comes_at_its_time();
+    t.encoders_count_and_latch();
+    t.modes_reach_the_encoders();
+    t.probe_and_index_latch();
+    t.each_input_has_its_limit();
+    t.each_frame_has_its_arrival();
+    t.the_flash_is_at_its_wires();
+    t.stop_makes_everything_safe();
+    t.every_estop_closes_the_gate();
+    return b.pass("%zu registers, %zu read back, %u absent or write-only; %u+%u+%u channels", t.map.size(), t.wrote.size(), t.absent, t.steps, t.encoders, t.pwms);
 }
