@@ -4,15 +4,20 @@
 //! The input is a script of frames: raw ones, and ones with corrected check sums, which a fuzzer
 //! does not guess. The board's frames are checked as a neighbour's stack would: lengths, check
 //! sums, addresses. Frames that are not a datagram of ours do not change the board. A frame that
-//! the gateware executes with a pass is an exchange of the owner for the full check, too.
+//! the gateware executes with a pass is an exchange of the owner for the full check, too. The owner
+//! may arm the machine and move it: then the services take short frames only, as in the image. What
+//! is for the services is shown to the ROM's reserve, too, which answers where they do not run.
 
 use crate::byte_reader::ByteReader;
 use crate::watched::{self, Inside, Watched};
 use firmware::machine::{IDLE, Shared};
 use firmware::net::{self, Class, Datagram, Frame, HEADERS, PAYLOAD_WORD, Slot, Us};
+use firmware::reserve;
 use firmware::services::port::Place;
-use firmware::services::{self, PORTS, Program};
-use wire::{CONSOLE_PORT, MAX_PAYLOAD, MAX_WORDS};
+use firmware::services::{PORTS, Program, lease, sntp, syslog};
+use wire::settings::Settings;
+use wire::units::Velocity;
+use wire::{CONSOLE_PORT, MAX_PAYLOAD, MAX_WORDS, Name, PAGE_PORT, Refusal};
 
 /// Longest frame without its FCS.
 const FRAME_MAX: usize = 1514;
@@ -24,6 +29,44 @@ const ANSWER: u64 = 1_000;
 const TURNS: usize = 16;
 /// Longer scripts add nothing.
 const FRAMES: usize = 64;
+/// Steps/s of an axis, times 1 to 8.
+const SPEED: f64 = 10e3;
+
+/// Where a datagram may go to: 0 is the board's own port; then those of the ROM and of the
+/// services, and some where nothing listens.
+const UDP: [u16; 8] = [
+    0,
+    wire::DISCOVERY_PORT,
+    lease::PORT,
+    9,
+    wire::mdns::PORT,
+    sntp::PORT,
+    syslog::PORT,
+    wire::jobs::PORT,
+];
+/// Where a connection may go to; on a board without jobs nothing listens at their port.
+const TCP: [u16; 4] = [CONSOLE_PORT, PAGE_PORT, wire::jobs::PORT, 7];
+const _: () = {
+    let mut at = 0;
+    while at < PORTS.len() {
+        let (mut known, mut n) = (PORTS[at] == 0, 0);
+        while n < UDP.len() {
+            known |= UDP[n] == PORTS[at];
+            n += 1;
+        }
+        assert!(known, "a port of the services that no script reaches");
+        at += 1;
+    }
+};
+
+/// The port from which the peer of a port sends.
+fn peers_port(port: u16) -> u16 {
+    match port {
+        lease::PORT => lease::SERVER_PORT,
+        wire::mdns::PORT | sntp::PORT => port,
+        _ => THEIR_PORT,
+    }
+}
 
 /// A frame as the MAC's slots deliver it; after it there are bytes of an older one.
 struct Received<'f>(&'f [u8]);
@@ -87,6 +130,9 @@ pub struct Outcome {
     pub ways: [u32; 2],
     /// A client is connected to the console.
     pub visited: bool,
+    /// Frames for the services that came while the owner moved the machine: those that they took,
+    /// and those that were too long.
+    pub beside: [u32; 2],
 }
 
 /// Runs a script of frames.
@@ -98,7 +144,7 @@ pub fn frames(data: &[u8]) {
 pub fn script(data: &[u8]) -> Outcome {
     let mut place = Place::new();
     let mut log = [0; firmware::services::journal::BYTES];
-    let mut machine = watched::start();
+    let mut machine = watched::start_with(&settings());
     let mut inside = Inside {
         machine: &mut machine,
         sent: Vec::new(),
@@ -124,6 +170,17 @@ pub fn script(data: &[u8]) -> Outcome {
         visited: station.services.visited(),
         ways: station.machine.server.counters().ways,
         ..station.outcome
+    }
+}
+
+/// A board with a name, which sends its events and takes the time from its neighbour.
+fn settings() -> Settings {
+    Settings {
+        mac: [0x10, 0xe2, 0xd5, 0, 0, 1],
+        name: Name::new("fuzz").unwrap_or_default(),
+        syslog: u32::from_be_bytes(THEIR_IP),
+        sntp: u32::from_be_bytes(THEIR_IP),
+        ..Settings::BUILT_IN
     }
 }
 
@@ -159,8 +216,24 @@ impl Oddities {
     }
 }
 
-/// A whole IPv4 frame to the board.
+/// Addresses of a destination.
+type To = ([u8; 6], [u8; 4]);
+const ALL: To = ([255; 6], [255; 4]);
+/// The group of multicast DNS.
+const MDNS: To = ([1, 0, 0x5e, 0, 0, 0xfb], [224, 0, 0, 0xfb]);
+
+/// A whole IPv4 frame to the board, or to all.
 fn packet(us: &Us, protocol: u8, body: &[u8], odd: &Oddities, input: &mut ByteReader) -> Vec<u8> {
+    let to = if odd.has(3) {
+        ALL
+    } else {
+        (us.mac, us.ip.to_be_bytes())
+    };
+    packet_to(to, protocol, body, odd, input)
+}
+
+/// A whole IPv4 frame.
+fn packet_to(to: To, protocol: u8, body: &[u8], odd: &Oddities, input: &mut ByteReader) -> Vec<u8> {
     let options = if odd.has(0) {
         usize::from(input.byte() % 11)
     } else {
@@ -179,16 +252,11 @@ fn packet(us: &Us, protocol: u8, body: &[u8], odd: &Oddities, input: &mut ByteRe
     ip.extend(fragment.to_be_bytes());
     ip.extend([64, protocol, 0, 0]);
     ip.extend(THEIR_IP);
-    let to = if odd.has(3) {
-        [255; 4]
-    } else {
-        us.ip.to_be_bytes()
-    };
-    ip.extend(to);
+    let (mac, address) = to;
+    ip.extend(address);
     ip.resize(20 + 4 * options, 1);
     let sum = !ones(&ip, 0) as u16;
     ip[10..12].copy_from_slice(&sum.to_be_bytes());
-    let mac = if odd.has(3) { [255; 6] } else { us.mac };
     let mut frame = mac.to_vec();
     frame.extend(THEIR_MAC);
     frame.extend([8, 0]);
@@ -218,48 +286,8 @@ impl Station<'_> {
                 let frame = input.many().to_vec();
                 self.receive(&frame[..frame.len().min(FRAME_MAX)]);
             }
-            1 | 2 => {
-                let odd = Oddities(input.byte());
-                let port = [us.port, wire::DISCOVERY_PORT, services::lease::PORT, 9]
-                    [usize::from(step >> 3) % 4];
-                let payload = if step & 7 == 2 {
-                    self.exchange(input)
-                } else {
-                    input.many().to_vec()
-                };
-                let mut udp = THEIR_PORT.to_be_bytes().to_vec();
-                udp.extend(port.to_be_bytes());
-                let length = 8 + payload.len() as u16;
-                udp.extend(length.to_be_bytes());
-                udp.extend([0, 0]);
-                udp.extend(payload);
-                if odd.has(7) {
-                    let sum = segment_sum(THEIR_IP, us.ip.to_be_bytes(), 17, &udp);
-                    let sum = if sum == 0xffff { 0xffff } else { !sum as u16 };
-                    udp[6..8].copy_from_slice(&sum.to_be_bytes());
-                }
-                let frame = packet(&us, 17, &udp, &odd, input);
-                self.receive(&frame);
-            }
-            3 | 4 => {
-                let [odd, flags, ahead, window] = input.array();
-                let port: u16 = 4000 + u16::from(step >> 6);
-                let mut tcp = port.to_be_bytes().to_vec();
-                tcp.extend(CONSOLE_PORT.to_be_bytes());
-                let off = i32::from(ahead as i8);
-                tcp.extend(self.expected.wrapping_add_signed(off >> 4).to_be_bytes());
-                tcp.extend(self.next.wrapping_add_signed(off << 28 >> 28).to_be_bytes());
-                let options = step >> 3 & 7;
-                tcp.extend([(5 + options) << 4, flags & 0x3f]);
-                tcp.extend((u16::from(window) << 4).to_be_bytes());
-                tcp.extend([0; 4]);
-                tcp.resize(20 + 4 * usize::from(options), 1);
-                tcp.extend(input.some());
-                let sum = !segment_sum(THEIR_IP, us.ip.to_be_bytes(), 6, &tcp) as u16;
-                tcp[16..18].copy_from_slice(&sum.to_be_bytes());
-                let frame = packet(&us, 6, &tcp, &Oddities(odd), input);
-                self.receive(&frame);
-            }
+            1 | 2 => self.udp(step, input),
+            3 | 4 => self.tcp(step, input),
             5 => {
                 let odd = Oddities(input.byte());
                 let mut icmp = vec![step >> 3 & 8, 0, 0, 0];
@@ -292,20 +320,89 @@ impl Station<'_> {
         }
     }
 
+    /// A datagram: to one of the ports; from the port where its peer is, or another one; to the
+    /// board, to all, or to the group.
+    fn udp(&mut self, step: u8, input: &mut ByteReader) {
+        let us = self.machine.us;
+        let odd = Oddities(input.byte());
+        let port = match UDP[usize::from(step >> 3) % UDP.len()] {
+            0 => us.port,
+            port => port,
+        };
+        let from = match step >> 6 & 1 {
+            0 => peers_port(port),
+            _ => THEIR_PORT,
+        };
+        let payload = if step & 7 == 2 {
+            self.exchange(input)
+        } else {
+            input.many().to_vec()
+        };
+        let to = match (odd.has(3), step >> 7) {
+            (true, _) => ALL,
+            (false, 0) => (us.mac, us.ip.to_be_bytes()),
+            (false, _) => MDNS,
+        };
+        let mut udp = from.to_be_bytes().to_vec();
+        udp.extend(port.to_be_bytes());
+        let length = 8 + payload.len() as u16;
+        udp.extend(length.to_be_bytes());
+        udp.extend([0, 0]);
+        udp.extend(payload);
+        if odd.has(7) {
+            let sum = segment_sum(THEIR_IP, to.1, 17, &udp);
+            let sum = if sum == 0xffff { 0xffff } else { !sum as u16 };
+            udp[6..8].copy_from_slice(&sum.to_be_bytes());
+        }
+        let frame = packet_to(to, 17, &udp, &odd, input);
+        self.receive(&frame);
+    }
+
+    /// A segment for the console, or for any port.
+    fn tcp(&mut self, step: u8, input: &mut ByteReader) {
+        let us = self.machine.us;
+        let [odd, flags, ahead, window] = input.array();
+        let from: u16 = 4000 + u16::from(step >> 6);
+        let to = match step & 7 {
+            3 => CONSOLE_PORT,
+            _ => TCP[usize::from(step >> 6)],
+        };
+        let mut tcp = from.to_be_bytes().to_vec();
+        tcp.extend(to.to_be_bytes());
+        let off = i32::from(ahead as i8);
+        tcp.extend(self.expected.wrapping_add_signed(off >> 4).to_be_bytes());
+        tcp.extend(self.next.wrapping_add_signed(off << 28 >> 28).to_be_bytes());
+        let options = step >> 3 & 7;
+        tcp.extend([(5 + options) << 4, flags & 0x3f]);
+        tcp.extend((u16::from(window) << 4).to_be_bytes());
+        tcp.extend([0; 4]);
+        tcp.resize(20 + 4 * usize::from(options), 1);
+        tcp.extend(input.some());
+        let sum = !segment_sum(THEIR_IP, us.ip.to_be_bytes(), 6, &tcp) as u16;
+        tcp[16..18].copy_from_slice(&sum.to_be_bytes());
+        let frame = packet(&us, 6, &tcp, &Oddities(odd), input);
+        self.receive(&frame);
+    }
+
     /// The payload of the owner's next command, with different errors.
     fn exchange(&self, input: &mut ByteReader) -> Vec<u8> {
         use wire::exchange::{COMMAND_MAX, Command, REQUEST_OVERHEAD};
         let flags = input.byte();
         let session = self.machine.session();
         let peer = session.owner().unwrap_or_default();
-        let command = Command {
+        let mut command = Command {
             token: session.token_for(peer),
             sequence: session.last_sequence().wrapping_add(1),
             enable: flags & 1 != 0,
             enable_request: flags & 2 != 0,
             ..Command::default()
         };
-        let channels = watched::ident(&self.machine).channels;
+        let ident = watched::ident(&self.machine);
+        let (channels, hz) = (ident.channels, f64::from(ident.clock_hz));
+        if flags & 4 != 0 {
+            command.stepgen_enable = u16::MAX;
+            command.stepgen[0].0 = Velocity::from_hz(SPEED * f64::from(1 + (flags >> 3 & 7)), hz);
+        }
         let mut buffer = [0; REQUEST_OVERHEAD + COMMAND_MAX];
         let request = command
             .emit_request(channels, &mut buffer)
@@ -396,10 +493,27 @@ impl Station<'_> {
                 self.untouched("a refused frame");
             }
             Class::Services => {
-                self.talk(Some(bytes));
+                self.reserve(bytes);
+                let moving = self.owner.is_some() && !self.machine.at_rest();
+                let long = bytes.len() > net::longest_in_motion(&Received(bytes), true);
+                self.outcome.beside[usize::from(long)] += u32::from(moving);
+                if moving && long {
+                    self.machine.refuse(Refusal::Oversized);
+                } else {
+                    self.talk(Some(bytes));
+                }
                 self.untouched("a frame for the services");
             }
             Class::Nothing => self.untouched("a frame to another station"),
+        }
+    }
+
+    /// What answers where the services do not run.
+    fn reserve(&self, bytes: &[u8]) {
+        let us = self.machine.us;
+        let mut answer = [0; FRAME_MAX];
+        if let Some(length) = reserve::answer(bytes, &us, &mut answer) {
+            check(&answer[..length], &us);
         }
     }
 

@@ -14,8 +14,11 @@ use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part, Times};
 use sim::plant::Plant;
 use std::cell::RefCell;
+use std::thread::LocalKey;
 use wire::MAX_WORDS;
+use wire::flash::Layout;
 use wire::regmap::{self, segments, timebase};
+use wire::settings::Settings;
 
 /// The segments core's mask of outputs.
 const OUTPUTS_OF_A_JOB: u32 = regmap::address(segments::BASE, segments::MASK);
@@ -193,25 +196,43 @@ impl Board for Watched {
     }
 }
 
+/// A chip that no board has written to. To erase megabytes for every input would take most of the
+/// time.
+type Fresh = RefCell<Option<Shared>>;
+
 thread_local! {
-    /// A chip that was never written: to erase megabytes for every input would take most of the
-    /// time.
-    static BLANK: RefCell<Option<Shared>> = const { RefCell::new(None) };
+    static BLANK: Fresh = const { RefCell::new(None) };
+    static SET: Fresh = const { RefCell::new(None) };
     static FACTS: BoardFacts = BoardFacts::named("mill6").expect("a committed board");
 }
 
 /// A board after power-up, with a new flash.
 pub fn start() -> Machine<Watched> {
-    let blank = BLANK.take().filter(|flash| {
+    start_on(fresh(&BLANK, |_| ()))
+}
+
+/// A board after power-up with these settings; the same in every call.
+pub fn start_with(settings: &Settings) -> Machine<Watched> {
+    start_on(fresh(&SET, |nor| {
+        let layout = Layout::of(nor.part().bytes as u32).expect("a known size");
+        let words = crate::byte_reader::bytes(&settings.to_words());
+        nor.preload(layout.settings_copy(0) as usize, &words);
+    }))
+}
+
+/// The chip that is kept there, if it is as `prepare` leaves one.
+fn fresh(kept: &'static LocalKey<Fresh>, prepare: impl FnOnce(&mut Nor)) -> Shared {
+    let untouched = kept.take().filter(|flash| {
         let chip = flash.chip();
         chip.programs() == 0 && chip.steps() == 0
     });
-    let flash = blank.unwrap_or_else(|| {
-        let part = Part::W25Q16JV.with(Times::QUICK);
-        Shared::new(Nor::new(part, UID))
+    let flash = untouched.unwrap_or_else(|| {
+        let mut nor = Nor::new(Part::W25Q16JV.with(Times::QUICK), UID);
+        prepare(&mut nor);
+        Shared::new(nor)
     });
-    BLANK.set(Some(flash.clone()));
-    start_on(flash)
+    kept.set(Some(flash.clone()));
+    flash
 }
 
 /// A board with this flash.
@@ -278,6 +299,10 @@ impl Network for Inside<'_> {
     }
     fn us(&mut self) -> Us {
         self.machine.us
+    }
+    fn moving(&mut self) -> bool {
+        let owned = self.machine.session().owner().is_some();
+        owned && !self.machine.at_rest()
     }
     fn leased(&mut self, lease: Option<Lease>) {
         self.machine.leased(lease);

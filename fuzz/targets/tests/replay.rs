@@ -185,6 +185,11 @@ fn scripts_of_frames_do_what_they_are_called() {
     }
     assert_eq!(script("on_the_fast_path").ways, [2, 4]);
     assert_eq!(script("the_fast_path_and_damage").ways, [2, 1]);
+    // ARP, ping, two handshakes and a DHCP server beside a machine that moves; and long frames.
+    assert_eq!(script("moving_among_guests").beside, [5, 0]);
+    assert_eq!(script("moving_and_a_long_frame").beside, [0, 2]);
+    assert!(script("a_page_is_asked_for").sent >= 3);
+    assert!(script("a_name_is_asked_for").sent >= 1);
     assert!(script("console_says_hello").sent >= 3);
     assert!(script("console_dies").visited);
     assert!(!script("console_is_reset").visited);

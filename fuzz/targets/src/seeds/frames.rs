@@ -10,7 +10,7 @@ use wire::{etherbone, map};
 type Step = Vec<u8>;
 
 pub(super) fn frames_seeds() -> Vec<Seed> {
-    [datagrams(), fast_path(), console(), others()].concat()
+    [datagrams(), fast_path(), moving(), console(), others()].concat()
 }
 
 fn script<const N: usize>(name: &'static str, steps: [Step; N]) -> Seed {
@@ -107,6 +107,68 @@ fn fast_path() -> Vec<Seed> {
                 vec![2, 0xa0, 1, 0, 90, 1],
                 exchange(1),
             ],
+        ),
+    ]
+}
+
+/// The owner moves the machine; guests come to every port meanwhile.
+fn moving() -> Vec<Seed> {
+    let acquire = [etherbone::HEADER, 0, 0x000f_0100, map::SESSION_ACQUIRE, 7];
+    let exchange = |flags: u8| vec![2, 0, flags];
+    let mut moves = vec![udp(1, 0x80, &bytes(&acquire))];
+    moves.extend([1, 1, 3, 3, 3, 7, 7].map(exchange));
+    let moves = moves.concat();
+    let goes_on = exchange(7 | 2 << 3);
+    let syn = |step: u8| vec![step, 0, 2, 0, 255, 0];
+    let name =
+        b"\x00\x00\x00\x00\x00\x01\x00\x00\x00\x00\x00\x00\x04fuzz\x05local\x00\x00\x01\x00\x01";
+    let time = [0x24; 48];
+    vec![
+        script(
+            "moving_among_guests",
+            [
+                moves.clone(),
+                vec![6, 0],
+                vec![5 | 1 << 6, 0, 0, 8, 0, 7, 0, 1, 1, 2, 3, 4],
+                goes_on.clone(),
+                syn(4),
+                syn(4 | 1 << 6),
+                goes_on.clone(),
+                udp(1 | 2 << 3, 0, &[1; 300]),
+                goes_on.clone(),
+            ],
+        ),
+        script(
+            "moving_and_a_long_frame",
+            [
+                moves,
+                udp(1 | 4 << 3, 0, &[0; 200]),
+                [&[5, 0, 0, 204][..], &[8; 204]].concat(),
+                goes_on,
+            ],
+        ),
+        script("a_page_is_asked_for", {
+            let get = b"GET / HTTP/1.0\r\n\r\n";
+            let says = [&[4 | 1 << 6, 0, 24, 0, 255, get.len() as u8][..], get];
+            [
+                syn(4 | 1 << 6),
+                vec![4 | 1 << 6, 0, 16, 0, 255, 0],
+                says.concat(),
+                later(4),
+            ]
+        }),
+        script(
+            "a_name_is_asked_for",
+            [
+                later(10),
+                later(10),
+                udp(0x80 | 1 | 4 << 3, 0, name),
+                later(6),
+            ],
+        ),
+        script(
+            "the_time_is_told",
+            [later(10), udp(1 | 5 << 3, 0, &time), later(4)],
         ),
     ]
 }
