@@ -143,7 +143,10 @@ class Design:
     def prove(self):
         """Unpacks the built files and compares them. Yields what was proven."""
         seed = json.loads((self.folder / "report.json").read_text())["seed"]
-        yield from image.prove(self.board, self.work, f"{TOP}{seed}.config", read_image(self.options.firmware), self.folder, self._program())
+        design = (self.board, self.work, f"{TOP}{seed}.config", read_image(self.options.firmware), self.folder)
+        yield from image.prove(*design, self._program())
+        if not self.board.sdram:
+            yield from image.prove_services(*design, self._services())
 
     # The inputs of the results
 
@@ -315,13 +318,14 @@ class Design:
 
     def _program(self):
         """The services that were built with this firmware, if the board has SDRAM."""
-        if not self.board.sdram:
-            return b""
+        return self._services() if self.board.sdram else b""
+
+    def _services(self):
         path = Path(self.options.firmware).with_name("ferrocnc-services.bin")
         try:
             return path.read_bytes()
         except OSError as e:
-            raise BuildError(f"{self.name}: has SDRAM, but the services for it, {path.name}, cannot be read ({e.strerror}); firmware/build.sh makes them beside the firmware") from e
+            raise BuildError(f"{self.name}: the services, {path.name}, cannot be read ({e.strerror}); firmware/build.sh makes them beside the firmware") from e
 
     def _report(self, seed):
         found = self.record["seeds"][str(seed)]

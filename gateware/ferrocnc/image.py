@@ -197,15 +197,20 @@ def jump_page(target):
     return page.ljust(_PAGE, b"\xff")
 
 
+def room(board, role):
+    """Bytes of the place of an image in the flash."""
+    start, end = _LAYOUTS[board.platform.flash["bytes"]][role == rm.ROLE_GOLDEN]
+    return end - start - _SECTOR
+
+
 def check_room(board, role, data, program=b""):
     """Refuses an image that does not fit into its place in the flash."""
-    start, end = _LAYOUTS[board.platform.flash["bytes"]][role == rm.ROLE_GOLDEN]
-    room = end - start - _SECTOR
-    missing = len(data) - room
+    most = room(board, role)
+    missing = len(data) - most
     if missing <= 0:
         return
     name = f"{board.name}{_ROLES[role]}.bit"
-    problem = f"{name} has {len(data)} bytes; its place in the flash of {board.platform.name} has {room}, {missing} too few"
+    problem = f"{name} has {len(data)} bytes; its place in the flash of {board.platform.name} has {most}, {missing} too few"
     if program and missing <= len(program):
         problem += f"; with sdram = false in the board file it is without the services, {len(program)} bytes, and fits"
     raise BoardError(board.file, "", problem)
@@ -261,6 +266,25 @@ def prove(board, work, routed, firmware, out, program=b""):
     yield f"{board.name}: packed again in another folder, all {len(files)} files have the same bytes"
     _same_jump(work)
     yield "a jump page is byte for byte what ecpmulti writes"
+
+
+def prove_services(board, work, routed, firmware, out, program):
+    """Packs the routed design of a board without SDRAM with the services, as that of another board,
+    into `out / "with-services"`: the test level `bitstream` reads those files, too. Yields what was
+    proven."""
+    folder, scratch = out / "with-services", work.parent / "packed"
+    for empty in (folder, scratch):
+        shutil.rmtree(empty, ignore_errors=True)
+        empty.mkdir(parents=True)
+    shutil.copyfile(work / routed, scratch / routed)
+    pack(board, scratch, routed, firmware, folder, program)
+    for role, suffix in _ROLES.items():
+        name = f"{board.name}{suffix}.bit"
+        found = body((folder / name).read_bytes())
+        bitstream = body((scratch / f"packed{suffix}.bit").read_bytes())
+        _same(name, "the bitstream and the services", found, with_program(bitstream, program))
+        yield f"{name}: packed with the services, {len(found)} of {room(board, role)} bytes"
+    shutil.rmtree(scratch)
 
 
 def _same_jump(work):

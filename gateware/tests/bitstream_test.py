@@ -169,6 +169,22 @@ def an_image_too_long_for_its_place_is_refused_with_the_bytes_and_the_way_out():
                 raise AssertionError("not refused")
 
 
+@test
+def the_cards_with_2_mib_of_flash_say_why_they_have_no_services_and_would_be_refused_with_them():
+    # The lengths of today's: a bitstream of the smaller of the two, and the services.
+    bitstream, program = 387_624, 287_240
+    for name in ("75b_v6_14o11i6s6e6p", "75b_v6_26o23i6p"):
+        text = (ROOT / "boards" / f"{name}.toml").read_text(encoding="utf-8")
+        assert "\nsdram = false\n" in text and "do not fit into the 2 MiB" in text, name
+    for role, said in ((rm.ROLE_IMAGE, "has 520192, 154672 too few"), (rm.ROLE_GOLDEN, "has 516096, 158768 too few")):
+        whole = image.with_program(body(bitstream), bytes(program))
+        assert not refused(board(2 << 20), role, body(bitstream)), "without them it fits"
+        told = refused(board(2 << 20), role, whole, bytes(program))
+        for part in (said, "with sdram = false in the board file", f"without the services, {program} bytes, and fits"):
+            assert part in told, f"{part!r} is not in {told!r}"
+        assert not refused(board(4 << 20), role, whole, bytes(program)), "4 MiB have room"
+
+
 def config(words, shape):
     """A text configuration with these 32-bit words in its block RAMs, 36 columns of 512 bits each,
     or 32."""

@@ -4,6 +4,7 @@
 
 use std::path::PathBuf;
 
+use ferrocnc_tests::wired;
 use host::flash_file::{self, FlashFile};
 use host::image::{Image, ImageError};
 use sim::loader::power_up;
@@ -20,6 +21,15 @@ struct Files {
 }
 
 fn files() -> Files {
+    files_in("")
+}
+
+/// The same design packed with the services.
+fn with_services() -> Files {
+    files_in("with-services")
+}
+
+fn files_in(place: &str) -> Files {
     let folder = std::env::var_os("FERROCNC_BITSTREAM");
     let folder =
         PathBuf::from(folder.expect("FERROCNC_BITSTREAM names the folder of a built bitstream"));
@@ -28,7 +38,7 @@ fn files() -> Files {
         .expect("the folder has the configuration's name")
         .to_owned();
     let read = |end: &str| {
-        let file = folder.join(format!("{name}{end}"));
+        let file = folder.join(place).join(format!("{name}{end}"));
         std::fs::read(&file).unwrap_or_else(|e| panic!("{}: {e}", file.display()))
     };
     Files {
@@ -91,6 +101,45 @@ fn the_flash_image_is_byte_for_byte_what_the_host_would_make_of_the_two() {
     let made = flash_file::sample::file(flash.layout.size, &image, &golden);
     let differ = made.iter().zip(&files.flash).position(|(a, b)| a != b);
     assert_eq!(differ, None, "first difference");
+}
+
+#[test]
+fn an_image_with_services_fits_its_places_and_the_host_takes_it_apart() {
+    let (bare, files) = (files(), with_services());
+    let program = wired::program();
+    let (image, golden) = images(&files);
+    let flash = FlashFile::parse(files.flash.clone()).unwrap_or_else(|e| panic!("refused: {e}"));
+    let layout = flash.layout;
+    for (found, bare, area) in [
+        (&image, images(&bare).0, layout.slot(Slot::A)),
+        (&golden, images(&bare).1, layout.golden),
+    ] {
+        assert_eq!(bare.program(), 0, "a board without SDRAM");
+        assert_eq!(found.program(), program.len());
+        let (bitstream, services) = found.bytes.split_at(found.bytes.len() - program.len());
+        assert!(services == program, "other services than were built");
+        assert!(bitstream.len().is_multiple_of(4));
+        assert_ne!(found.build, bare.build, "another build");
+        let room = (area.meta() - area.start) as usize;
+        println!("{} of {room} bytes", found.bytes.len());
+        assert!(found.bytes.len() <= room);
+        // What the FPGA gets is as long as without them. Only the words that say the build differ.
+        assert!(bitstream.len().abs_diff(bare.bytes.len()) < 1000);
+    }
+    assert_eq!((flash.image, flash.golden), (image.meta(), golden.meta()));
+    let made = flash_file::sample::file(layout.size, &image, &golden);
+    assert!(made == files.flash, "another flash than the host would make");
+    // The FPGA runs it, and stops reading before the services.
+    let runs = |flash: &[u8]| power_up(flash, image.idcode);
+    let slot = layout.slot(Slot::A).start as usize;
+    assert_eq!(runs(&files.flash).image, Some(slot));
+    let mut other = files.flash.clone();
+    let end = slot + image.bytes.len();
+    other[end - program.len()..end].fill(0xff);
+    assert_eq!(runs(&other).image, Some(slot), "without the services");
+    other[slot + image.bytes.len() / 4] ^= 0x10;
+    let golden = layout.golden.start as usize;
+    assert_eq!(runs(&other).image, Some(golden), "a damaged bitstream");
 }
 
 #[test]
