@@ -9,8 +9,9 @@
 //! Nothing can be changed here. A connection has one request. Of that, only the first line is kept;
 //! one that is longer than 128 bytes, or a request longer than 4096 bytes or slower than five
 //! seconds, ends the connection. An answer is made in pieces while it is sent ([`page`]): a turn
-//! makes one. While a host moves the machine a piece is one step; while there is no time even for
-//! that, the answer is 503, *busy*, and says when to come again.
+//! makes one, of no more steps than there is time for. While a host moves the machine a piece is
+//! one step; while there is no time even for that, the answer is 503, *busy*, and says when to come
+//! again.
 
 pub mod form;
 pub mod page;
