@@ -98,9 +98,14 @@ pub fn factory(part: Part, uid: u64) -> Nor {
 
 /// The same with the services after the image in slot A.
 pub fn with_services(part: Part, uid: u64) -> Nor {
+    followed_by(part, uid, &program())
+}
+
+/// The same with this program after the image in slot A.
+pub fn followed_by(part: Part, uid: u64, program: &[u8]) -> Nor {
     let mut nor = factory(part, uid);
     let area = layout(&nor).slot_a;
-    let image = with_program(&image(FIRST, 3), &program());
+    let image = with_program(&image(FIRST, 3), program);
     put(&mut nor, area, &image, &meta(&image, FIRST));
     nor
 }

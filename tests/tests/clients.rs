@@ -1,8 +1,18 @@
 //! Other projects' programs against the board: ping, a console session, LiteX's RemoteClient.
 
+use ferrocnc_tests::flash::{UID, followed_by};
+use ferrocnc_tests::hal::out;
+use ferrocnc_tests::services::small;
 use ferrocnc_tests::{BenchMachine, Simulator, wired};
+use host::client::Client;
+use host::driver::Driver;
+use host::hal::fake::FakeHal;
+use host::link::Link;
+use sim::nor::Part;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+use wire::describe::JobsState;
 
 #[test]
 fn a_ping_is_answered() {
@@ -170,4 +180,123 @@ fn the_log_of_the_release_image_is_text_again_in_the_tool() {
             "without the board's time:\n{said}"
         );
     }
+}
+
+/// Servo periods until a machine is armed, a connection of a client has reached the board, and the
+/// tool has heard all it asked for.
+const PATIENCE: usize = 500;
+
+/// LinuxCNC's driver at the Verilated board, whose time is that of its exchanges.
+struct Shop {
+    hal: FakeHal,
+    driver: Driver,
+}
+
+impl Shop {
+    fn open(simulator: &Simulator) -> Self {
+        let mut hal = FakeHal::new();
+        let address = host::address::parse(&simulator.udp().to_string(), 1234);
+        let address = address.expect("an address");
+        let mut client = Client::open(&address).expect("a socket");
+        let identity = client.identify().expect("a board");
+        client.acquire().expect("the session");
+        let link = Link::new(client.into_socket()).expect("a link");
+        let say = hal.messenger();
+        let driver = Driver::export(&mut hal, 0, address, &identity, link, say);
+        // The board's time stands still while this computer is busy.
+        hal.set("ferrocnc.0.packet-read-timeout", 2_000_000_000);
+        hal.set("ferrocnc.0.enable", true);
+        let driver = driver.expect("pins");
+        Shop { hal, driver }
+    }
+
+    fn enabled(&self) -> bool {
+        self.hal.get("ferrocnc.0.enabled")
+    }
+
+    fn services(&self) -> JobsState {
+        let code: u32 = self.hal.get("ferrocnc.0.services");
+        let known = JobsState::ALL.iter().find(|state| state.code() == code);
+        *known.expect("a known state")
+    }
+
+    /// Servo periods until it is so.
+    fn until(&mut self, what: &str, mut so: impl FnMut(&Self) -> bool) {
+        for _ in 0..PATIENCE {
+            if so(self) {
+                return;
+            }
+            self.driver.read(1_000_000);
+            self.driver.write(1_000_000);
+            // It asks for its session and does not wait for the answer.
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        let number = |pin: &str| self.hal.get::<u32>(&format!("ferrocnc.0.{pin}"));
+        let seen = [
+            "state",
+            "fault-reason",
+            "packet-error-total",
+            "refused-total",
+        ]
+        .map(number);
+        let said = self.hal.said();
+        panic!("{what}: not in {PATIENCE} periods: {seen:?}, {said:?}");
+    }
+
+    /// What the tool says meanwhile.
+    fn tool(&mut self, arguments: &[&str]) -> String {
+        let mut tool = Command::new(ferrocnc_tests::program("ferrocnc"));
+        tool.arg("--json").args(arguments).stdin(Stdio::null());
+        let said = std::thread::spawn(move || tool.output().expect("the tool runs"));
+        self.until(arguments[0], |_| said.is_finished());
+        let said = said.join().expect("its words");
+        let why = String::from_utf8_lossy(&said.stderr);
+        assert!(said.status.success(), "{arguments:?}: {why}");
+        String::from_utf8(said.stdout).expect("text")
+    }
+}
+
+#[test]
+fn a_failure_of_the_services_is_named_at_the_hal_pin_in_describe_and_in_the_log() {
+    const EBREAK: u32 = 0x0010_0073;
+    let flash = out("services-failed").join("board.flash");
+    let program = small(&wired::program(), &[EBREAK]);
+    let nor = followed_by(Part::W25Q32JV, UID, &program);
+    std::fs::write(&flash, nor.cells()).expect("the chip's cells");
+    let flash = flash.display().to_string();
+    let simulator = Simulator::start(&["--mode", "lockstep", "--flash", &flash]);
+    simulator.run_ms(60);
+    let board = simulator.udp().to_string();
+    let mut shop = Shop::open(&simulator);
+    assert_eq!(shop.services(), JobsState::Alive);
+    let mut periods = 0;
+    shop.until("armed", |shop| {
+        // An edge that comes too early is none: there is another one.
+        periods += 1;
+        let request = periods % 40 >= 20;
+        shop.hal.set("ferrocnc.0.enable-request", request);
+        shop.enabled()
+    });
+
+    // The first frame of a connection ends them.
+    let console = simulator.console();
+    let caller = std::thread::spawn(move || drop(std::net::TcpStream::connect(console)));
+    shop.until("ended", |shop| shop.services() == JobsState::Ended);
+    let _ = caller.join();
+    let described = shop.tool(&["describe", &board]);
+    let described: serde_json::Value = serde_json::from_str(&described).expect("JSON");
+    assert_eq!(described["services"], JobsState::Ended.text());
+    let elf = ferrocnc_tests::parts().1.display().to_string();
+    let log = shop.tool(&["log", &board, "--elf", &elf]);
+    // As `defmt::error!` has it in the firmware, with the cause and place of the trap. The core
+    // knows no `ebreak`: it is an illegal instruction.
+    let place = "services failed: cause 2 at 4000004c";
+    let frames = log.lines().map(|line| -> serde_json::Value {
+        serde_json::from_str(line).expect("a frame of the log as JSON")
+    });
+    let failed: Vec<_> = frames.filter(|frame| frame["text"] == place).collect();
+    assert_eq!(failed.len(), 1, "{log}");
+    assert_eq!(failed[0]["level"], "error", "{log}");
+    assert!(shop.enabled(), "{:?}", shop.hal.said());
+    assert_eq!(shop.services(), JobsState::Ended, "it has an owner");
 }

@@ -1,20 +1,26 @@
-//! telnet, curl, avahi and ping at a board with a static address.
+//! telnet, curl, avahi and ping at a board with a static address, and at one with a leased one.
 
+use crate::leases::{kinds, leased};
 use crate::rig::*;
 use ferrocnc_tests::Simulator;
 use ferrocnc_tests::flash::{UID, factory, with_services};
 use ferrocnc_tests::lan::arp::{Arp, Listener, Says};
 use ferrocnc_tests::lan::avahi::Avahi;
+use ferrocnc_tests::lan::dhcp::DhcpServer;
 use ferrocnc_tests::lan::{Lan, Place};
 use serde_json::Value as Json;
 use sim::nor::Part;
 use std::process::Command;
 use std::time::Instant;
 
-const HOST: &str = "192.168.2.1";
-const BOARD: &str = "192.168.2.50";
-/// Nothing is there.
-const NOWHERE: &str = "192.168.2.51";
+/// The addresses of a segment.
+struct Net {
+    host: &'static str,
+    board: String,
+    /// Nothing is there.
+    nowhere: &'static str,
+}
+
 const NAME: &str = "mill on a cable";
 const LABEL: &str = "mill-on-a-cable";
 const LOCAL: &str = "mill-on-a-cable.local";
@@ -26,9 +32,9 @@ fn ping(host: &Place, to: &str, seconds: u64) -> bool {
 }
 
 /// The status page, its JSON and its log; nothing else is there, and nothing is written.
-fn the_page(host: &Place) {
+fn the_page(host: &Place, board: &str) {
     let status = until("status.json", || {
-        let answer = curl(host, &format!("http://{BOARD}/status.json"), &[])?;
+        let answer = curl(host, &format!("http://{board}/status.json"), &[])?;
         let status: Json = serde_json::from_str(&answer.content).map_err(|e| e.to_string())?;
         // The services begin without a name, and read it then.
         match status["board"]["name"] == "" {
@@ -37,10 +43,10 @@ fn the_page(host: &Place) {
         }
     });
     assert_eq!(status["board"]["name"], LABEL, "{status}");
-    assert_eq!(status["link"]["ip"], BOARD, "{status}");
+    assert_eq!(status["link"]["ip"], board, "{status}");
     assert_eq!(status["machine"]["state"], "disarmed", "{status}");
     let get = |path: &str, arguments: &[&str]| {
-        let url = format!("http://{BOARD}{path}");
+        let url = format!("http://{board}{path}");
         until(path, || curl(host, &url, arguments))
     };
     let page = get("/", &[]);
@@ -54,10 +60,10 @@ fn the_page(host: &Place) {
 }
 
 /// A session of telnet.py.
-fn telnet(host: &Place, mode: &str) {
+fn telnet(host: &Place, board: &str, mode: &str) {
     let mut telnet: Command = host.command("python3");
     let script = ferrocnc_tests::root().join("tests/clients/telnet.py");
-    telnet.arg(script).args([BOARD, "23", mode]);
+    telnet.arg(script).args([board, "23", mode]);
     telnet.env("PATIENCE", SLOWEST.as_secs().to_string());
     let said = run(telnet);
     let why = [said.stdout, said.stderr].concat();
@@ -65,7 +71,7 @@ fn telnet(host: &Place, mode: &str) {
 }
 
 /// The name, and what is offered under it.
-fn the_name(host: &Place, avahi: &Avahi) {
+fn the_name(host: &Place, board: &str, avahi: &Avahi) {
     let address = until("avahi-resolve", || {
         let said = avahi.ask(host, "avahi-resolve", &["-4", "-n", LOCAL]);
         match text(&said.stdout).split_whitespace().nth(1) {
@@ -73,14 +79,14 @@ fn the_name(host: &Place, avahi: &Avahi) {
             None => Err(text(&said.stderr) + &avahi.said()),
         }
     });
-    assert_eq!(address, BOARD);
+    assert_eq!(address, board);
     for (kind, port) in [("_ferrocnc._udp", "1234"), ("_http._tcp", "80")] {
         until(kind, || {
             let said = avahi.ask(host, "avahi-browse", &["-rpt", kind]);
             let said = text(&said.stdout);
             let found = said.lines().any(|line| {
                 let words: Vec<&str> = line.split(';').collect();
-                words.get(6..9) == Some(&[LOCAL, BOARD, port][..])
+                words.get(6..9) == Some(&[LOCAL, board, port][..])
             });
             if found { Ok(()) } else { Err(said) }
         });
@@ -88,70 +94,78 @@ fn the_name(host: &Place, avahi: &Avahi) {
 }
 
 /// While a host keeps the machine armed the page is busy, and a console answers.
-fn while_armed(host: &Place) {
-    let owner = Owner::arm(host, BOARD, 1);
+fn while_armed(host: &Place, board: &str, period_ms: u64) {
+    let owner = Owner::arm(host, board, period_ms);
     let busy = until("a busy page", || {
-        curl(host, &format!("http://{BOARD}/"), &[])
+        curl(host, &format!("http://{board}/"), &[])
     });
     assert_eq!(busy.status, 503, "{busy:?}");
     assert!(busy.head.contains("Retry-After: 2"), "{busy:?}");
-    telnet(host, "armed");
+    telnet(host, board, "armed");
     owner.ends();
 }
 
 /// From its first answer on the board answers each question for its address once, to where it came
 /// from. Questions that came before, while it started or was slow, may have been lost or may be
 /// answered late. It asks for no address that it has heard from, and answers for no other one.
-fn judge_arp(heard: &[Arp]) {
+fn judge_arp(net: &Net, heard: &[Arp]) {
     let board = mac();
     let asked = |ip: &str, heard: &[Arp]| {
-        let question = Says::WhereIs(ip.into(), HOST.into());
+        let question = Says::WhereIs(ip.into(), net.host.into());
         heard.iter().filter(|arp| arp.says == question).count()
     };
     let first = heard.iter().position(|arp| arp.from == board);
     let (before, then) = heard.split_at(first.expect("an answer"));
-    assert!(asked(BOARD, before) >= 1, "{heard:#?}");
+    assert!(asked(&net.board, before) >= 1, "{heard:#?}");
     let mut from_board = Vec::new();
     for arp in heard.iter().filter(|arp| arp.from == board) {
-        assert_eq!(arp.says, Says::IsAt(BOARD.into(), board.clone()), "{arp:?}");
+        assert_eq!(
+            arp.says,
+            Says::IsAt(net.board.clone(), board.clone()),
+            "{arp:?}"
+        );
         from_board.push(arp.to.clone());
     }
     let host = heard.iter().find(|arp| arp.from != board);
     let host = host.expect("a question").from.clone();
     assert!(from_board.iter().all(|to| *to == host), "{heard:#?}");
-    let fewest = 1 + asked(BOARD, then);
-    let answers = fewest..fewest + asked(BOARD, before);
+    let fewest = 1 + asked(&net.board, then);
+    let answers = fewest..fewest + asked(&net.board, before);
     assert!(answers.contains(&from_board.len()), "{heard:#?}");
-    assert!(asked(BOARD, then) >= 1, "{heard:#?}");
-    assert!(asked(NOWHERE, then) >= 1, "{heard:#?}");
-    let answered = |arp: &Arp| matches!(&arp.says, Says::IsAt(ip, _) if ip == NOWHERE);
+    assert!(asked(&net.board, then) >= 1, "{heard:#?}");
+    assert!(asked(net.nowhere, then) >= 1, "{heard:#?}");
+    let answered = |arp: &Arp| matches!(&arp.says, Says::IsAt(ip, _) if ip == net.nowhere);
     assert!(!heard.iter().any(answered), "{heard:#?}");
 }
 
-/// One after the other; `armed`: also with a machine that a host keeps armed.
-fn all_clients(folder: &Folder, host: &Place, armed: bool) {
+/// One after the other. At the end a host keeps the machine armed, with so many milliseconds of
+/// this computer between two exchanges: a guest is served behind one of them.
+fn all_clients(folder: &Folder, host: &Place, net: &Net, period_ms: u64) {
+    let board = &net.board;
     let began = Instant::now();
     let done = |what: &str| println!("{what} after {:.1} s", began.elapsed().as_secs_f64());
     let avahi = Avahi::start(host, folder.path());
     let listener = Listener::start(host, folder.path());
-    assert!(ping(host, BOARD, SLOWEST.as_secs()), "no answer to a ping");
+    // A DHCP server has told the kernel where its client is.
+    host.ip("neigh flush dev eth0");
+    assert!(ping(host, board, SLOWEST.as_secs()), "no answer to a ping");
     done("ping");
-    the_page(host);
+    the_page(host, board);
     done("curl");
-    telnet(host, "three");
+    telnet(host, board, "three");
     done("telnet");
-    the_name(host, &avahi);
+    the_name(host, board, &avahi);
     done("avahi");
-    if armed {
-        while_armed(host);
-        done("armed");
-    }
     // A host that has forgotten the board, and one that asks for another.
     host.ip("neigh flush dev eth0");
-    assert!(ping(host, BOARD, SLOWEST.as_secs()), "no answer to a ping");
-    assert!(!ping(host, NOWHERE, 2), "something answers for {NOWHERE}");
-    judge_arp(&listener.heard());
+    assert!(ping(host, board, SLOWEST.as_secs()), "no answer to a ping");
+    let nowhere = net.nowhere;
+    assert!(!ping(host, nowhere, 2), "something answers for {nowhere}");
+    judge_arp(net, &listener.heard());
     done("ARP");
+    // From now on a guest's frame may be lost.
+    while_armed(host, board, period_ms);
+    done("armed");
 }
 
 #[test]
@@ -164,21 +178,41 @@ fn real_clients_are_served_by_the_ip_stack_of_the_twin() {
     let uid = format!("{UID:016x}");
     let arguments = ["--flash", &flash, "--uid", &uid];
     let _board = Simulator::on_cable(&mut lan, "mill6", &arguments);
-    all_clients(&folder, &host, true);
-    telnet(&host, "characters");
+    let net = Net {
+        host: "192.168.2.1",
+        board: "192.168.2.50".to_owned(),
+        nowhere: "192.168.2.51",
+    };
+    all_clients(&folder, &host, &net, 1);
+    telnet(&host, &net.board, "characters");
 }
 
+/// Some 100 ms are a servo period of 1 kHz for the Verilated board. At 1 ms its CPU does nothing
+/// but exchanges, and no guest is served.
+const RTL_PERIOD_MS: u64 = 100;
+
 #[test]
-fn real_clients_are_served_by_the_release_image_on_the_verilated_board() {
+fn real_clients_are_served_by_the_release_image_on_the_verilated_board_at_a_leased_address() {
     let folder = Folder::new("rtl-network");
     let nor = with_services(Part::W25Q32JV, UID);
-    let flash = flash_file(&folder, nor, NAME, false);
+    let flash = flash_file(&folder, nor, NAME, true);
     let mut lan = Lan::new();
-    let host = lan.plug(Some("192.168.2.1/24"));
-    let mut board = Simulator::rtl_on_cable(&mut lan, &flash);
-    // An armed machine is the twin's part: on this board its guests were not served in a minute,
-    // and the cause is not known.
-    all_clients(&folder, &host, false);
+    let host = lan.plug(Some("10.7.0.1/24"));
+    let server = DhcpServer::start(&host, folder.path(), "2m");
+    let began = Instant::now();
+    let mut simulator = Simulator::rtl_on_cable(&mut lan, &flash);
+    let board = until("a lease", || leased(&server.said()).ok_or(server.said()));
+    let seconds = began.elapsed().as_secs_f64();
+    println!("dnsmasq's lease of {board} after {seconds:.1} s");
+    let said = server.said();
+    let begins = ["DHCPDISCOVER", "DHCPOFFER", "DHCPREQUEST", "DHCPACK"];
+    assert_eq!(kinds(&said), begins, "{said}");
+    let net = Net {
+        host: "10.7.0.1",
+        board,
+        nowhere: "10.7.0.99",
+    };
+    all_clients(&folder, &host, &net, RTL_PERIOD_MS);
     // It says how many clocks that were.
-    board.finish();
+    simulator.finish();
 }

@@ -14,7 +14,7 @@ const PACE: &str = "20e9";
 const RENEWALS: usize = 2;
 
 /// The messages of the log, with their kind only: `DHCPACK(eth0) 10.7.0.50 ..` is `DHCPACK`.
-fn kinds(said: &str) -> Vec<&str> {
+pub fn kinds(said: &str) -> Vec<&str> {
     let messages = said.lines().filter_map(|line| {
         let at = line.find("DHCP")?;
         line[at..].split_once("(eth0)").map(|(kind, _)| kind)
@@ -30,7 +30,7 @@ fn kinds(said: &str) -> Vec<&str> {
 }
 
 /// The address of the last acknowledgement.
-fn leased(said: &str) -> Option<String> {
+pub fn leased(said: &str) -> Option<String> {
     let mut lines = said.lines().rev();
     let line = lines.find(|line| line.contains("DHCPACK(eth0) "))?;
     let (_, rest) = line.split_once("DHCPACK(eth0) ")?;
