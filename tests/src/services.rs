@@ -32,6 +32,35 @@ pub fn beginning(program: &[u8]) -> Vec<u8> {
     sealed(bytes)
 }
 
+/// Where the code of [`small`] begins: behind the header, at a line of the cache.
+const CODE_AT: usize = 64;
+/// Where it says that its code ends: behind a piece of the ROM's.
+const CODE_END: usize = 3_584;
+
+/// A program of nothing but a beginning that is over at once and, in a call with a frame, this
+/// code; it has no stack of its own. The ROM loads it in a fiftieth of the time of the services.
+pub fn small(program: &[u8], code: &[u32]) -> Vec<u8> {
+    let beginning = [
+        0x0005_9663, // bnez a1, 1f
+        0x0000_0513, // li a0, 0
+        0x0000_8067, // ret
+    ];
+    begins_with(program, &[&beginning[..], code].concat())
+}
+
+/// The same with this code in every call.
+pub fn begins_with(program: &[u8], code: &[u32]) -> Vec<u8> {
+    let mut bytes = beginning(program);
+    let words = |at: usize| at..at + 4;
+    bytes[words(12)].copy_from_slice(&((SDRAM_BASE + CODE_AT) as u32).to_le_bytes());
+    bytes[words(32)].copy_from_slice(&((SDRAM_BASE + CODE_END) as u32).to_le_bytes());
+    for (n, word) in code.iter().enumerate() {
+        bytes[words(CODE_AT + 4 * n)].copy_from_slice(&word.to_le_bytes());
+    }
+    assert!(CODE_AT + 4 * code.len() <= CODE_END, "too much code");
+    sealed(bytes)
+}
+
 /// The words after a change, with a corrected CRC.
 pub fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
     let (words, _) = bytes.as_chunks();

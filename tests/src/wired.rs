@@ -19,7 +19,7 @@ use sim::edges::Timing;
 use sim::environment::Output;
 use sim::lan_segment::Connection;
 use sim::nor::spi::Shared;
-use sim::nor::{Nor, Part};
+use sim::nor::{Nor, Part, Times};
 use sim::rig::Setup;
 use std::collections::BTreeMap;
 use std::io::{ErrorKind, Read, Write};
@@ -71,7 +71,7 @@ pub fn golden(behind: &[u8]) -> Setup {
 }
 
 fn preloaded(trailer: Trailer, area: impl Fn(&Layout) -> Area, behind: &[u8]) -> Setup {
-    let mut nor = flash::factory(Part::W25Q32JV, 7);
+    let mut nor = flash::factory(Part::W25Q32JV.with(Times::QUICK), 7);
     let image = flash::with_program(&flash::image(trailer.build_id, 3), behind);
     let area = area(&flash::layout(&nor));
     nor.preload(area.start as usize, &image);

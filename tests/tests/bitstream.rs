@@ -128,7 +128,10 @@ fn an_image_with_services_fits_its_places_and_the_host_takes_it_apart() {
     }
     assert_eq!((flash.image, flash.golden), (image.meta(), golden.meta()));
     let made = flash_file::sample::file(layout.size, &image, &golden);
-    assert!(made == files.flash, "another flash than the host would make");
+    assert!(
+        made == files.flash,
+        "another flash than the host would make"
+    );
     // The FPGA runs it, and stops reading before the services.
     let runs = |flash: &[u8]| power_up(flash, image.idcode);
     let slot = layout.slot(Slot::A).start as usize;
