@@ -411,8 +411,8 @@ struct Tests : Bus {
             write(nth("encoder", n, ".mode"), 0);
         }
     }
-    // The probe is one input for all channels, each with its own arm bit; then the index pins of the
-    // step generators.
+    // The probe is one input for all channels, each with its own arm bit; then the index pins of
+    // the step generators.
     void probe_and_index_latch() {
         for (unsigned round = 0; round < 4; round++) {
             const unsigned input = r.below(ins - 1), low = r.below(2);

@@ -4,8 +4,8 @@
 //   gateware/tests/run.sh fast_path [SEED [FRAMES]]    FRAMES: random frames for each board
 #include "fast_path_board.h"
 
-// Other boards than the first have one of so many of what takes long, and every fourth clock or byte
-// of a sweep.
+// Other boards than the first have one of so many of what takes long, and every fourth clock or
+// byte of a sweep.
 static const unsigned WHOLE = 1000 / SHARE, FRAMES = 3000 / SHARE, STEP = SHARE > 1 ? 4 : 1;
 // Clocks from the last byte of a command to the first of its answer, which is its preamble, as seen
 // at the pins, for any number of channels: the shortest, the median and no more than the longest.
@@ -306,8 +306,8 @@ struct Tests : Board {
         for (unsigned k = 0; k < 4000 && !taken; k++) step();
         CHECK(*this, taken, "the command was not executed");
     }
-    // The next pass comes soon behind a command that is repeated: executed a second time or not, and
-    // never while the answer is written or sent.
+    // The next pass comes soon behind a command that is repeated: executed a second time or not,
+    // and never while the answer is written or sent.
     Outcome passes_at_once(unsigned rounds) {
         Outcome o;
         for (unsigned n = 0; n < rounds; n++) {
@@ -467,8 +467,8 @@ struct Tests : Board {
             CHECK(*this, longest_access <= longest_piece(), "an access took %u clocks", longest_access);
         }
     }
-    // The CPU halts in the middle of an access, in every clock from the frame's end to the end of its
-    // answer, and whatever it accessed: the access falls away, or stays for ever.
+    // The CPU halts in the middle of an access, in every clock from the frame's end to the end of
+    // its answer, and whatever it accessed: the access falls away, or stays for ever.
     void halts_in_an_access() {
         const std::pair<uint32_t, bool> accesses[] = {
             {address("ctrl.scratch"), false}, {address("gpio.safe"), true}, {address("status.sample_lo"), false}, {address("fast_path.status"), false},
@@ -572,8 +572,8 @@ struct Tests : Board {
             check_executed("a pause of the wire", words);
         }
     }
-    // Something happens to the wire in each byte from the preamble to the FCS: the frame is gone, and
-    // the good one right behind it is executed.
+    // Something happens to the wire in each byte from the preamble to the FCS: the frame is gone,
+    // and the good one right behind it is executed.
     void in_every_byte(const char *what, const std::function<void(size_t)> &hurt) {
         const Words good = next();
         const size_t size = 8 + frame(good).size();
@@ -581,7 +581,8 @@ struct Tests : Board {
             hand_out(sequence), forget();
             send(frame(good)), hurt(n), send(frame(good)), quiet();
             check_executed(std::string(what) + " in byte " + std::to_string(n), good);
-            // Behind a gap in its preamble the frame is a good one, and the other one comes too late.
+            // Behind a gap in its preamble the frame is a good one, and the other one comes too
+            // late.
             const unsigned lie = release();
             CHECK(*this, lie <= (n < 7), "%s in byte %zu: %u frames lie in slots", what, n, lie);
         }

@@ -50,8 +50,8 @@
 //!
 //! **Command** takes XYPenPlotter's codes ([`JobCommand`]); others are refused. Stop is valid in
 //! every state. A code that does not fit the state gets [`Status::NotNow`]. A Start is answered
-//! before the job is checked: the check's result is the [`End`] of a [`Report`], with axis and line.
-//! A refused command is answered without a report.
+//! before the job is checked: the check's result is the [`End`] of a [`Report`], with axis and
+//! line. A refused command is answered without a report.
 //!
 //! **The key**: on a board with a key, a connection that has not proved it may only read and stop
 //! ([`Status::Key`]). It proves the key with the answer ([`crate::auth`], to acquire, its nonce the

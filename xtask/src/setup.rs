@@ -15,7 +15,10 @@ const PACKAGES: &[(&str, &str)] = &[
         "its headers, against which our bindings are checked",
     ),
     ("clang", "compiles the Verilated board"),
-    ("g++", "its C++ library; compiles libFuzzer and the benches of the cores"),
+    (
+        "g++",
+        "its C++ library; compiles libFuzzer and the benches of the cores",
+    ),
     ("make", "drives that compilation"),
     ("perl", "Verilator is a Perl script"),
     ("zlib1g-dev", "waveform dumps"),
