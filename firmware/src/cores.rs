@@ -182,6 +182,11 @@ pub trait Board {
     fn sending(&mut self) -> bool {
         true
     }
+    /// Reads a word of the fast path's transmit slot, where it can be read: debug builds on a PC
+    /// check that nothing has changed it ([`crate::machine::Shared`]).
+    fn prepared(&mut self, _word: usize) -> u32 {
+        0
+    }
     /// The gate.
     fn gate(&mut self) -> Gate;
     /// Why the gate closed last ([`wire::GateClose`]); the gateware remembers it through a restart.

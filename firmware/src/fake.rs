@@ -78,6 +78,8 @@ pub struct Notebook {
     pub used: bool,
     /// The fast path's answer is on its way.
     pub sending: bool,
+    /// Its transmit slot.
+    pub slot: [u32; 128],
 }
 
 impl Notebook {
@@ -110,6 +112,7 @@ impl Notebook {
             pass: None,
             used: false,
             sending: false,
+            slot: [0; 128],
         }
     }
 
@@ -213,6 +216,9 @@ impl Board for Notebook {
     }
     fn hand_out(&mut self, pass: &Pass) {
         (self.pass, self.used) = (Some(*pass), false);
+        for (word, value) in pass.answer() {
+            self.slot[word] = value;
+        }
     }
     fn revoke(&mut self) -> bool {
         self.pass = None;
@@ -223,6 +229,9 @@ impl Board for Notebook {
     }
     fn sending(&mut self) -> bool {
         self.sending
+    }
+    fn prepared(&mut self, word: usize) -> u32 {
+        self.slot[word]
     }
     fn gate(&mut self) -> Gate {
         // A pin closes the gate and latches; while it is active its second bit is up.

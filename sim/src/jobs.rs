@@ -6,8 +6,7 @@
 
 use ::jobs::server::BusyReply;
 use ::jobs::{AHEAD, Jobs, Outside};
-use firmware::cores::Board as _;
-use firmware::machine::{Lease, Machine, VISIT_WORDS, Verb, Verdict};
+use firmware::machine::{Guest, Lease, VISIT_WORDS, Verb, Verdict};
 use firmware::net::Us;
 use firmware::services::Network;
 use firmware::services::console::{Console, Visit};
@@ -15,7 +14,7 @@ use firmware::services::port::Place;
 use firmware::text::Text;
 use wire::MAX_WORDS;
 use wire::jobs::{self, FRAME, Op, Status};
-use wire::regmap::{self, segments};
+use wire::regmap;
 
 use crate::model_board::ModelBoard;
 
@@ -31,23 +30,21 @@ pub(crate) const PROGRAM: u32 = 0x7477_696e;
 
 /// The board as the program sees it from inside.
 #[derive(Debug)]
-pub struct Outer<'a>(pub &'a mut Machine<ModelBoard>);
+pub struct Outer<'a>(pub Guest<'a, ModelBoard>);
 
 impl Outside for Outer<'_> {
     fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
-        let answer = self.0.inside(request, reply, Machine::hold_path);
+        let answer = self.0.inside(request, reply);
         answer.map_or(0, <[u32]>::len)
     }
     fn read_segments(&mut self, word: usize) -> u32 {
-        let address = regmap::address(segments::BASE, word);
-        self.0.board.csr_read(address)
+        self.0.read_segments(word)
     }
     fn write_segments(&mut self, word: usize, value: u32) {
-        let address = regmap::address(segments::BASE, word);
-        self.0.board.csr_write(address, value);
+        self.0.write_segments(word, value);
     }
     fn now(&mut self) -> u64 {
-        self.0.board.now()
+        self.0.now()
     }
 }
 
@@ -107,7 +104,7 @@ pub struct Said {
 
 impl Program {
     /// On this board; `None` if it does not answer.
-    pub fn start(machine: &mut Machine<ModelBoard>, clock_hz: u32) -> Option<Self> {
+    pub fn start(machine: Guest<'_, ModelBoard>, clock_hz: u32) -> Option<Self> {
         // Never freed: there are few boards, and each lives as long as its simulator.
         let memory = vec![0; ROOM].leak();
         let place = Box::leak(Box::new(Place::new()));
@@ -123,7 +120,7 @@ impl Program {
 
     /// A client connects. Returns the answer for it if another client is connected; it may still
     /// send a stop.
-    pub fn open(&mut self, visitor: usize, machine: &mut Machine<ModelBoard>) -> Option<Vec<u8>> {
+    pub fn open(&mut self, visitor: usize, machine: Guest<'_, ModelBoard>) -> Option<Vec<u8>> {
         if self.visitor.is_some() {
             let mut frame = [0; FRAME];
             let length = jobs::answer(Op::Hello.code(), Status::Busy, 0, &mut frame, |_| {});
@@ -177,7 +174,7 @@ impl Program {
     }
 
     /// A turn of the program: returns its output, and the clocks until the next turn.
-    pub fn turn(&mut self, machine: &mut Machine<ModelBoard>) -> (Option<Said>, u64) {
+    pub fn turn(&mut self, machine: Guest<'_, ModelBoard>) -> (Option<Said>, u64) {
         let mut outer = Outer(machine);
         let said = self.visitor.and_then(|visitor| {
             let mut text = Text::new();
@@ -190,8 +187,7 @@ impl Program {
             };
             (said.close || !said.bytes.is_empty()).then_some(said)
         });
-        let said = said.or_else(|| self.busy_reply(&mut Outer(machine)));
-        let mut outer = Outer(machine);
+        let said = said.or_else(|| self.busy_reply(&mut outer));
         let works = self.jobs.poll(&mut outer) || self.visitor.is_some();
         (said, if works { TURN } else { IDLE_MS * self.per_ms })
     }

@@ -7,7 +7,7 @@
 use crate::jobs::Outer;
 use crate::model_board::ModelBoard;
 use crate::services::Cable;
-use firmware::machine::Machine;
+use firmware::machine::Guest;
 use firmware::services::lease::{Client, PORT, Place, SERVER_PORT};
 use firmware::services::stack::Stack;
 use firmware::services::{Network, facts};
@@ -44,7 +44,7 @@ impl core::fmt::Debug for DhcpClient {
 
 impl DhcpClient {
     /// On a board whose settings ask for it.
-    pub fn start(machine: &mut Machine<ModelBoard>, clock_hz: u32) -> Option<Self> {
+    pub fn start(machine: Guest<'_, ModelBoard>, clock_hz: u32) -> Option<Self> {
         let mut board = Outer(machine);
         let settings = facts::settings(&mut board);
         if !settings.dhcp {
@@ -65,7 +65,7 @@ impl DhcpClient {
     }
 
     /// A server's datagram.
-    pub fn take(&mut self, payload: &[u8], machine: &mut Machine<ModelBoard>) {
+    pub fn take(&mut self, payload: &[u8], machine: Guest<'_, ModelBoard>) {
         let mut cable = Cable::of(machine);
         let now = self.instant(cable.now());
         let frame = framed(payload);
@@ -73,7 +73,7 @@ impl DhcpClient {
     }
 
     /// Does what is due; the payload of a datagram for servers.
-    pub fn turn(&mut self, machine: &mut Machine<ModelBoard>) -> Option<Vec<u8>> {
+    pub fn turn(&mut self, machine: Guest<'_, ModelBoard>) -> Option<Vec<u8>> {
         let mut cable = Cable::of(machine);
         let now = self.instant(cable.now());
         let us = cable.us();

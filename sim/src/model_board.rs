@@ -474,6 +474,9 @@ impl cores::Board for ModelBoard {
     fn sending(&mut self) -> bool {
         self.progress() & fast_path::STATUS_SENDING != 0
     }
+    fn prepared(&mut self, word: usize) -> u32 {
+        self.model.answer()[word]
+    }
     fn gate(&mut self) -> Gate {
         Gate(self.read(watchdog::PAGE, watchdog::STATUS))
     }

@@ -6,7 +6,7 @@
 
 use crate::jobs::{Outer, PROGRAM, ROOM, TURN};
 use crate::model_board::ModelBoard;
-use firmware::machine::{Lease, Machine, VISIT_WORDS, Verb, Verdict};
+use firmware::machine::{Guest, Lease, Machine, VISIT_WORDS, Verb, Verdict};
 use firmware::net::Us;
 use firmware::services::port::Place;
 use firmware::services::{Network, Program, journal};
@@ -26,7 +26,7 @@ pub struct Cable<'a> {
 
 impl<'a> Cable<'a> {
     /// A cable on which nothing was sent.
-    pub fn of(machine: &'a mut Machine<ModelBoard>) -> Self {
+    pub fn of(machine: Guest<'a, ModelBoard>) -> Self {
         Cable {
             board: Outer(machine),
             sent: Vec::new(),
@@ -63,7 +63,7 @@ impl Network for Cable<'_> {
         self.board.us()
     }
     fn moving(&mut self) -> bool {
-        moving(self.board.0)
+        moving(&self.board.0)
     }
     fn leased(&mut self, lease: Option<Lease>) {
         self.board.leased(lease);
@@ -82,7 +82,7 @@ pub struct Services {
 
 impl Services {
     /// On this board; `None` if it does not answer.
-    pub fn start(machine: &mut Machine<ModelBoard>, clock_hz: u32) -> Option<Self> {
+    pub fn start(machine: Guest<'_, ModelBoard>, clock_hz: u32) -> Option<Self> {
         // Never freed: there are few boards, and each lives as long as its simulator.
         let [memory, log] = [ROOM, journal::BYTES].map(|bytes| vec![0; bytes].leak());
         let place = Box::leak(Box::new(Place::new()));
@@ -94,14 +94,14 @@ impl Services {
     }
 
     /// Takes a frame; returns what was sent.
-    pub fn frame(&mut self, frame: &[u8], machine: &mut Machine<ModelBoard>) -> Vec<Vec<u8>> {
+    pub fn frame(&mut self, frame: &[u8], machine: Guest<'_, ModelBoard>) -> Vec<Vec<u8>> {
         let mut cable = Cable::of(machine);
         self.program.frame(frame, &mut cable);
         cable.sent
     }
 
     /// A turn: what was sent, and the clocks until the next turn.
-    pub fn turn(&mut self, machine: &mut Machine<ModelBoard>) -> (Vec<Vec<u8>>, u64) {
+    pub fn turn(&mut self, machine: Guest<'_, ModelBoard>) -> (Vec<Vec<u8>>, u64) {
         let mut cable = Cable::of(machine);
         let works = self.program.poll(&mut cable);
         let next = if works { TURN } else { IDLE_MS * self.per_ms };

@@ -130,7 +130,8 @@ impl Twin {
         let (facts, sdram) = (setup.facts.clone(), setup.sdram);
         let (mut model_board, ident) = ModelBoard::power_up(setup);
         let boot = model_board.boot();
-        let mut machine = Machine::start(model_board, ident, regmap::ABI, boot);
+        let machine = Machine::start(model_board, ident, regmap::ABI, boot);
+        let mut machine = Shared::new(machine);
         let (jobs, dhcp, reader) = programs(&mut machine, &facts, sdram);
         let clockwork = Clockwork::new(facts.clock_hz.into());
         Twin {
@@ -141,7 +142,7 @@ impl Twin {
             dhcp,
             cable: false,
             services: None,
-            machine: Shared::new(machine),
+            machine,
             facts,
             sdram,
             clockwork,
@@ -336,13 +337,12 @@ impl Twin {
 
     /// Starts what runs in the SDRAM.
     fn start_services(&mut self) {
-        let programs = |machine: &mut _| programs(machine, &self.facts, self.sdram);
-        (self.jobs, self.dhcp, self.reader) = programs(self.machine.alone());
+        (self.jobs, self.dhcp, self.reader) = programs(&mut self.machine, &self.facts, self.sdram);
         if self.cable {
             // The services have all of them.
             let there = self.reader.is_some();
             (self.jobs, self.dhcp, self.reader) = (None, None, None);
-            let start = || Services::start(self.machine.alone(), self.facts.clock_hz);
+            let start = || Services::start(self.machine.guest(), self.facts.clock_hz);
             self.services = there.then(start).flatten();
         }
     }
@@ -355,7 +355,7 @@ impl Twin {
         }
         self.send_broadcasts();
         let client = self.dhcp.as_mut();
-        if let Some(payload) = client.and_then(|client| client.turn(&mut self.machine.guest())) {
+        if let Some(payload) = client.and_then(|client| client.turn(self.machine.guest())) {
             self.frames.from_board += 1;
             self.send(Reply {
                 service: Service::Dhcp,
@@ -408,7 +408,7 @@ impl Twin {
             }
             Service::Dhcp => {
                 if let Some(dhcp) = &mut self.dhcp {
-                    dhcp.take(&request.payload, &mut self.machine.guest());
+                    dhcp.take(&request.payload, self.machine.guest());
                 }
                 &[]
             }
@@ -439,7 +439,7 @@ impl Twin {
             self.jobs_at = u64::MAX;
             return false;
         };
-        let (said, due) = program.turn(&mut self.machine.guest());
+        let (said, due) = program.turn(self.machine.guest());
         self.jobs_at = now + due;
         self.offer();
         let Some(said) = said else {
@@ -460,15 +460,15 @@ impl Twin {
         if visitor.said_goodbye {
             return;
         }
-        let mut guest = self.machine.guest();
+        let mut outer = jobs::Outer(self.machine.guest());
         let mut visit = Visit {
             visitor: number,
             reader,
             jobs: self.jobs.as_mut().and_then(jobs::Program::jobs),
-            out: &mut jobs::Outer(&mut guest),
+            out: &mut outer,
         };
         let (said, close) = jobs::converse(&mut visitor.console, bytes, &mut visit);
-        drop(guest);
+        drop(outer);
         visitor.out.extend(said);
         visitor.said_goodbye = close;
         self.offer();
@@ -667,7 +667,7 @@ impl Device for Twin {
         } else {
             let number = self.visitors.len();
             let program = self.jobs.as_mut();
-            match program.map(|program| program.open(number, &mut self.machine.guest())) {
+            match program.map(|program| program.open(number, self.machine.guest())) {
                 Some(None) => self.jobs_at = self.jobs_at.min(self.clock() + ACCESS),
                 Some(Some(busy)) => visitor.out.extend(busy),
                 // No service listens there.

@@ -10,7 +10,7 @@
 
 use crate::byte_reader::ByteReader;
 use crate::watched::{self, Inside, Watched};
-use firmware::machine::{IDLE, Shared};
+use firmware::machine::{Guest, IDLE, Shared};
 use firmware::net::{self, Class, Datagram, Frame, HEADERS, PAYLOAD_WORD, Slot, Us};
 use firmware::reserve;
 use firmware::services::port::Place;
@@ -146,11 +146,12 @@ pub fn script(data: &[u8]) -> Outcome {
     let mut log = [0; firmware::services::journal::BYTES];
     let mut machine = watched::start_with(&settings());
     let mut inside = Inside {
-        machine: &mut machine,
+        machine: Guest::of(&mut machine),
         sent: Vec::new(),
     };
     let services =
         Program::new(&mut [], &mut log, &mut place, 1, &mut inside).expect("a board that answers");
+    drop(inside);
     let mut station = Station {
         machine: Shared::new(machine),
         services,
@@ -589,9 +590,8 @@ impl Station<'_> {
     /// A call of the services with a frame, and the turns that it leads to.
     fn talk(&mut self, frame: Option<&[u8]>) {
         let us = self.machine.us;
-        let mut guest = self.machine.guest();
         let mut inside = Inside {
-            machine: &mut guest,
+            machine: self.machine.guest(),
             sent: Vec::new(),
         };
         if let Some(frame) = frame {

@@ -19,7 +19,7 @@ use ::jobs::Outside;
 use ::jobs::inside::Inside;
 use ::jobs::instruction::{Arc, Feed, Instruction};
 use ::jobs::job::Writer;
-use firmware::machine::{IDLE, Lease, Machine, VISIT_WORDS, Verb, Verdict};
+use firmware::machine::{Guest, IDLE, Lease, Machine, VISIT_WORDS, Verb, Verdict};
 use firmware::net::Us;
 use firmware::services::console::{Console, Reader, Visit};
 use firmware::services::line_editor::PROMPT;
@@ -136,9 +136,9 @@ pub fn script(data: &[u8]) -> String {
         &mut [],
         &mut place,
         7,
-        &mut Outer(&mut machine),
+        &mut Outer(Guest::of(&mut machine)),
     );
-    let (_, board) = Inside::new(&mut Outer(&mut machine)).expect("a board at rest");
+    let (_, board) = Inside::new(&mut Outer(Guest::of(&mut machine))).expect("a board at rest");
     let mut bench = Bench {
         reader: Reader::new(board.channels, board.clock_hz),
         jobs: program.expect("a board with jobs"),
@@ -443,7 +443,7 @@ impl Bench<'_> {
     }
 
     fn visit(&mut self) {
-        self.jobs.visit(&mut Outer(&mut self.machine));
+        self.jobs.visit(&mut Outer(Guest::of(&mut self.machine)));
         self.ahead.clear();
         self.reading.clear();
         (self.known, self.last) = (false, None);
@@ -454,7 +454,7 @@ impl Bench<'_> {
     fn pass(&mut self, turns: u32) {
         for _ in 0..turns {
             self.serve();
-            self.jobs.poll(&mut Outer(&mut self.machine));
+            self.jobs.poll(&mut Outer(Guest::of(&mut self.machine)));
             if self.machine.due(IDLE) {
                 self.machine.housekeeping();
             }
@@ -495,8 +495,10 @@ impl Bench<'_> {
         }
         let before = self.shot();
         let mut text = Text::new();
-        let mut outer = Outer(&mut self.machine);
-        let taken = self.jobs.said(&self.ahead, &mut text, &mut outer);
+        let taken = {
+            let outer = &mut Outer(Guest::of(&mut self.machine));
+            self.jobs.said(&self.ahead, &mut text, outer)
+        };
         assert!(taken <= self.ahead.len());
         self.reading.extend(self.ahead.drain(..taken));
         let answer = text.bytes().to_vec();
@@ -573,8 +575,10 @@ impl Bench<'_> {
         }
         let before = self.shot();
         let mut text = Text::new();
-        let mut outer = Outer(&mut self.machine);
-        let taken = self.jobs.said(&request, &mut text, &mut outer);
+        let taken = {
+            let outer = &mut Outer(Guest::of(&mut self.machine));
+            self.jobs.said(&request, &mut text, outer)
+        };
         assert_eq!((taken, text.bytes()), (request.len(), &answer[..]));
         assert_eq!(self.shot(), before, "executed twice\n{:#?}", self.story);
     }
@@ -614,7 +618,7 @@ impl Bench<'_> {
     }
 
     fn line(&mut self, line: &str, trusted: bool) -> String {
-        let mut network = ConsoleNetwork(Outer(&mut self.machine), trusted);
+        let mut network = ConsoleNetwork(Outer(Guest::of(&mut self.machine)), trusted);
         let mut visit = Visit {
             visitor: 0,
             reader: &mut self.reader,

@@ -13,7 +13,7 @@
 use crate::byte_reader::{ByteReader, words};
 use crate::watched::{self, Deeds, Inside, Watched};
 use firmware::cores::Board;
-use firmware::machine::{Lease, Machine};
+use firmware::machine::{Guest, Lease, Machine};
 use firmware::services::console::{Console, PIECE_MAX, Reader, Visit};
 use firmware::session::Peer;
 use firmware::text::Text;
@@ -558,7 +558,7 @@ fn type_in(machine: &mut Machine<Watched>, mut bytes: &[u8]) {
     let mut reader = Reader::new(ident.channels, ident.clock_hz);
     let mut console = Console::new();
     let mut outer = Inside {
-        machine,
+        machine: Guest::of(machine),
         sent: Vec::new(),
     };
     let mut text = Text::new();

@@ -2,7 +2,7 @@
 
 use firmware::cores::{Board, Control, Gate, Ident, Led, Link, Setting};
 use firmware::log;
-use firmware::machine::{IDLE, Lease, Machine, VISIT_WORDS, Verb, Verdict};
+use firmware::machine::{Guest, IDLE, Lease, Machine, VISIT_WORDS, Verb, Verdict};
 use firmware::net::Us;
 use firmware::pass::Pass;
 use firmware::services::Network;
@@ -145,6 +145,9 @@ impl Board for Watched {
     fn sending(&mut self) -> bool {
         self.model_board.sending()
     }
+    fn prepared(&mut self, word: usize) -> u32 {
+        self.model_board.prepared(word)
+    }
     fn gate(&mut self) -> Gate {
         self.model_board.gate()
     }
@@ -270,25 +273,23 @@ pub fn pass(machine: &mut Machine<Watched>, clocks: u64, looks: u64) {
 
 /// The board as the services see it, and the frames they send.
 pub(crate) struct Inside<'a> {
-    pub machine: &'a mut Machine<Watched>,
+    pub machine: Guest<'a, Watched>,
     pub sent: Vec<Vec<u8>>,
 }
 
 impl Outside for Inside<'_> {
     fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
-        let answer = self.machine.inside(request, reply, Machine::hold_path);
+        let answer = self.machine.inside(request, reply);
         answer.map_or(0, <[u32]>::len)
     }
     fn read_segments(&mut self, word: usize) -> u32 {
-        let address = regmap::address(segments::BASE, word);
-        self.machine.board.csr_read(address)
+        self.machine.read_segments(word)
     }
     fn write_segments(&mut self, word: usize, value: u32) {
-        let address = regmap::address(segments::BASE, word);
-        self.machine.board.csr_write(address, value);
+        self.machine.write_segments(word, value);
     }
     fn now(&mut self) -> u64 {
-        self.machine.board.now()
+        self.machine.now()
     }
 }
 

@@ -123,7 +123,7 @@ impl Twin {
             self.machine.sent(1);
             return Some(room[..length].to_vec());
         };
-        let sent = services.frame(frame, &mut self.machine.guest());
+        let sent = services.frame(frame, self.machine.guest());
         self.send_frames(sent);
         self.jobs_at = self.clock();
         None
@@ -136,7 +136,7 @@ impl Twin {
             self.jobs_at = u64::MAX;
             return false;
         };
-        let (sent, due) = services.turn(&mut self.machine.guest());
+        let (sent, due) = services.turn(self.machine.guest());
         self.jobs_at = now + due;
         self.offer();
         self.send_frames(sent);

@@ -1,7 +1,7 @@
 //! What runs in the twin's SDRAM.
 
 use ::jobs::inside::Inside;
-use firmware::machine::Machine;
+use firmware::machine::Shared;
 use firmware::services::console::Reader;
 use wire::describe::JobsState;
 
@@ -13,28 +13,28 @@ use crate::model_board::ModelBoard;
 /// The services of a board: jobs where there are segments, what asks DHCP servers, and what the
 /// consoles read with.
 pub(super) fn programs(
-    machine: &mut Machine<ModelBoard>,
+    machine: &mut Shared<ModelBoard>,
     facts: &BoardFacts,
     sdram: bool,
 ) -> (Option<jobs::Program>, Option<DhcpClient>, Option<Reader>) {
     if !facts.sdram {
-        machine.server.jobs(match facts.jobs {
+        machine.alone().jobs(match facts.jobs {
             0 => JobsState::None,
             _ => JobsState::Streamed,
         });
         return (None, None, None);
     }
     if !sdram {
-        machine.server.jobs(JobsState::Sdram);
+        machine.alone().jobs(JobsState::Sdram);
         return (None, None, None);
     }
     let program = match facts.jobs {
         0 => None,
-        _ => jobs::Program::start(machine, facts.clock_hz),
+        _ => jobs::Program::start(machine.guest(), facts.clock_hz),
     };
-    machine.server.jobs(JobsState::Alive);
-    let dhcp = DhcpClient::start(machine, facts.clock_hz);
-    let board = Inside::new(&mut jobs::Outer(machine));
+    machine.alone().jobs(JobsState::Alive);
+    let dhcp = DhcpClient::start(machine.guest(), facts.clock_hz);
+    let board = Inside::new(&mut jobs::Outer(machine.guest()));
     (
         program,
         dhcp,

@@ -5,7 +5,7 @@ use crate::soc::{self, Loader, Mac, Parts, RxFrame, Soc};
 use core::arch::global_asm;
 use core::ffi::c_void;
 use core::sync::atomic::{AtomicPtr, Ordering::Relaxed};
-use firmware::machine::{IDLE, Lease, Machine, Shared, VISIT_WORDS, Verb, Verdict};
+use firmware::machine::{IDLE, Lease, Machine, Shared, VISIT_WORDS, Verb, Verdict, hold_path};
 use firmware::net::{self, Class, Datagram, UdpPorts, Us};
 use firmware::reserve;
 use firmware::services::abi;
@@ -522,12 +522,6 @@ impl App {
     }
 }
 
-/// The answer is on its way: now there is time to adapt the axes' decelerations.
-#[inline(never)]
-fn hold_path(machine: &mut Machine<Soc>) {
-    machine.hold_path();
-}
-
 // What the services call: the functions below, through `services_enter`, which opens the guard and
 // closes it again behind them.
 global_asm!(
@@ -592,12 +586,10 @@ extern "C" fn datagram(
     }
     // SAFETY: both lie in the SDRAM, where every word may be read and written; the program waits.
     let (request, reply) = unsafe { (core::slice::from_raw_parts(request, words), &mut *reply) };
-    caller(
-        |app| match app.machine.guest().inside(request, reply, hold_path) {
-            Ok(reply) => reply.len() as isize,
-            Err(why) => -1 - why as isize,
-        },
-    )
+    caller(|app| match app.machine.guest().inside(request, reply) {
+        Ok(reply) => reply.len() as isize,
+        Err(why) => -1 - why as isize,
+    })
     .unwrap_or(REFUSED)
 }
 

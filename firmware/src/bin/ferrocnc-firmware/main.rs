@@ -10,8 +10,9 @@
 //!     none, and housekeeping is overdue: do it
 //! ```
 //!
-//! Housekeeping (looks at the gate, LED, services) runs right after an answer, when the next
-//! request is a whole servo period away. While a host exchanges without a pass, it never runs
+//! Housekeeping (looks at the gate, LED, services) runs right after the answer to an exchange, when
+//! the next one is a whole servo period away. Behind other requests of a host it waits for a pause:
+//! the next one may be the first exchange. While a host exchanges without a pass, it never runs
 //! between a request and its answer.
 #![no_std]
 #![no_main]

@@ -4,24 +4,32 @@ use super::*;
 use crate::fake::*;
 use crate::machine::ident_of_six as ident;
 use wire::exchange::{Command, FLAG_APPLY_TIME};
+use wire::regmap::command;
 use wire::units::{Clocks, Velocity};
 use wire::{LongWay, MAX_WORDS, map};
 
-/// A machine that Alice has armed, with her token.
+/// An armed machine.
 struct Bench {
     machine: Shared<Notebook>,
+    owner: Peer,
     sequence: u32,
 }
 
 impl Bench {
+    /// By Alice.
     fn armed() -> Self {
+        Self::armed_by(ALICE)
+    }
+
+    fn armed_by(owner: Peer) -> Self {
         let machine = Machine::start(Notebook::new(), ident(), ABI, BOOT);
         let mut bench = Bench {
             machine: Shared::new(machine),
+            owner,
             sequence: 0,
         };
         bench.send(
-            ALICE,
+            owner,
             &[0x4e6f_1044, 0, 0x000f_0100, map::SESSION_ACQUIRE, 7],
         );
         for request in [false, true, true] {
@@ -35,7 +43,7 @@ impl Bench {
     fn command(&mut self, request: bool) -> Command {
         self.sequence += 1;
         Command {
-            token: self.machine.session().token_for(ALICE),
+            token: self.machine.session().token_for(self.owner),
             sequence: self.sequence,
             enable: true,
             enable_request: request,
@@ -46,6 +54,9 @@ impl Bench {
 
     fn send(&mut self, peer: Peer, words: &[u32]) -> bool {
         let mut reply = [0; MAX_WORDS];
+        if peer == Peer::INSIDE {
+            return self.machine.guest().inside(words, &mut reply).is_ok();
+        }
         let served = match self.machine.session().is_owner(peer) {
             true => self
                 .machine
@@ -67,7 +78,7 @@ impl Bench {
     fn long_way(&mut self, command: &Command) -> bool {
         let mut buffer = [0; MAX_WORDS];
         let words = command.emit_request(SIX, &mut buffer).unwrap().to_vec();
-        self.send(ALICE, &words)
+        self.send(self.owner, &words)
     }
 
     /// The gateware first, then the firmware; true if the gateware executed it.
@@ -169,7 +180,123 @@ fn housekeeping_takes_the_pass_back_only_if_something_has_happened() {
 }
 
 #[test]
-fn there_is_no_pass_without_an_owner_for_a_job_or_while_an_answer_leaves() {
+fn a_job_that_owns_the_machine_gets_no_pass_and_neither_does_a_host_beside_it() {
+    let mut bench = Bench::armed_by(Peer::INSIDE);
+    for _ in 0..3 {
+        let command = bench.command(true);
+        assert!(bench.long_way(&command));
+        bench.machine.offer();
+        assert_eq!(bench.machine.machine.board.pass, None);
+        // A frame of a host that is like the job's next command.
+        let sequence = bench.sequence;
+        let next = bench.command(true);
+        assert!(!bench.machine.machine.board.comes(&next), "on the fast way");
+        let mut buffer = [0; MAX_WORDS];
+        let words = next.emit_request(SIX, &mut buffer).unwrap().to_vec();
+        assert!(!bench.send(ALICE, &words), "on the long way");
+        bench.machine.offer();
+        assert_eq!(bench.machine.machine.board.pass, None);
+        bench.sequence = sequence;
+    }
+    // The job's own exchanges are no exchanges of a host.
+    assert_eq!(bench.machine.server.counters().ways, [0, 0]);
+    assert!(!bench.machine.at_rest(), "and the job goes on");
+}
+
+#[test]
+fn a_pass_that_was_out_for_a_host_is_back_when_a_job_owns_the_machine() {
+    let mut bench = Bench::armed();
+    bench.machine.offer();
+    assert!(bench.machine.machine.board.pass.is_some());
+    let old = bench.command(true);
+    bench.machine.machine.board.bite();
+    bench.machine.housekeeping();
+    assert_eq!(bench.machine.session().owner(), None, "a bite ends it");
+    let acquire = [0x4e6f_1044, 0, 0x000f_0100, map::SESSION_ACQUIRE, 9];
+    assert!(bench.send(Peer::INSIDE, &acquire));
+    bench.machine.offer();
+    assert_eq!(bench.machine.machine.board.pass, None);
+    assert!(!bench.machine.machine.board.comes(&old));
+}
+
+/// What a guest must not change, done behind the type's back.
+fn guest_that(changes: impl FnOnce(&mut Machine<Notebook>)) {
+    let mut bench = Bench::armed();
+    bench.machine.offer();
+    let mut guest = bench.machine.guest();
+    changes(guest.machine);
+    guest.leased(None);
+}
+
+#[test]
+fn a_guest_that_changes_nothing_passes_the_check() {
+    guest_that(|_| {});
+    guest_that(|machine| machine.received());
+}
+
+#[test]
+#[should_panic(expected = "a guest has changed")]
+fn a_guest_that_changes_the_session_is_found() {
+    guest_that(|machine| machine.server.session.kill());
+}
+
+#[test]
+#[should_panic(expected = "a guest has changed")]
+fn a_guest_that_changes_the_state_is_found() {
+    guest_that(|machine| machine.server.safety.hold(true));
+}
+
+#[test]
+#[should_panic(expected = "a guest has changed")]
+fn a_guest_that_stages_a_word_is_found() {
+    guest_that(|machine| machine.board.stage(command::WORDS - 1, 1));
+}
+
+#[test]
+#[should_panic(expected = "a guest has changed")]
+fn a_guest_that_writes_to_the_answers_slot_is_found() {
+    guest_that(|machine| machine.board.slot[crate::pass::answer_length(machine.shape()) / 4] ^= 1);
+}
+
+/// The same, not by a guest.
+fn while_a_pass_is_out(changes: impl FnOnce(&mut Machine<Notebook>)) {
+    let mut bench = Bench::armed();
+    bench.machine.offer();
+    changes(&mut bench.machine.machine);
+    bench.machine.alone();
+}
+
+#[test]
+fn what_the_gateware_changes_itself_while_a_pass_is_out_passes_the_check() {
+    while_a_pass_is_out(|machine| machine.board.stage(0, 1));
+    let mut bench = Bench::armed();
+    bench.machine.offer();
+    let command = bench.command(true);
+    assert!(bench.machine.machine.board.comes(&command));
+    bench.machine.machine.board.slot[20] ^= 1;
+    bench.machine.alone();
+}
+
+#[test]
+#[should_panic(expected = "while a pass was out")]
+fn a_sequence_number_accepted_while_a_pass_is_out_is_found() {
+    while_a_pass_is_out(|machine| machine.server.session.accept(77));
+}
+
+#[test]
+#[should_panic(expected = "while a pass was out")]
+fn other_services_in_the_state_word_while_a_pass_is_out_are_found() {
+    while_a_pass_is_out(|machine| machine.jobs(wire::describe::JobsState::GivenUp));
+}
+
+#[test]
+#[should_panic(expected = "while a pass was out")]
+fn a_write_to_the_answers_slot_while_a_pass_is_out_is_found() {
+    while_a_pass_is_out(|machine| machine.board.slot[4] ^= 1);
+}
+
+#[test]
+fn there_is_no_pass_without_an_owner_or_while_an_answer_leaves() {
     let start = Machine::start(Notebook::new(), ident(), ABI, BOOT);
     let mut free = Shared::new(start);
     free.offer();
