@@ -14,6 +14,7 @@
 
 use crate::block::STATE_ANSWER;
 use crate::cores::{Board, Control, Gate};
+use crate::net::FOUR;
 use crate::server::Server;
 use crate::session::Peer;
 use wire::etherbone::ReplyWriter;
@@ -103,7 +104,19 @@ impl Server {
             (status::STEPGEN0_POSITION_LO, stepgens),
             (status::ENCODER0_COUNT, encoders),
         ] {
-            reply.append((first..first + count).map(|word| board.latched(word)));
+            let (mut word, end) = (first, first + count);
+            while word + FOUR <= end
+                && let Some(four) = reply.room::<FOUR>()
+            {
+                *four = [
+                    board.latched(word),
+                    board.latched(word + 1),
+                    board.latched(word + 2),
+                    board.latched(word + 3),
+                ];
+                word += FOUR;
+            }
+            reply.append((word..end).map(|word| board.latched(word)));
         }
         self.exchanged(head.flags);
         Ok(())
@@ -147,7 +160,17 @@ impl Server {
         ];
         for (register, at, count) in runs {
             let words = block.get(at..at + count).unwrap_or(&[]);
-            for (register, word) in (register..).zip(words) {
+            let (fours, rest) = words.as_chunks::<FOUR>();
+            let mut at = register;
+            for four in fours {
+                let [a, b, c, d] = *four;
+                board.stage(at, a);
+                board.stage(at + 1, b);
+                board.stage(at + 2, c);
+                board.stage(at + 3, d);
+                at += FOUR;
+            }
+            for (register, word) in (at..).zip(rest) {
                 board.stage(register, *word);
             }
         }
@@ -180,6 +203,7 @@ impl Server {
     /// Records what is left to do after an executed exchange with these flags.
     pub(crate) fn exchanged(&mut self, flags: u32) {
         self.spoke = true;
+        self.exchanges = true;
         self.flags = flags;
         if self.safety.state() == State::Armed {
             self.path_stop.executed(flags);

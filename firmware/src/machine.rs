@@ -42,6 +42,9 @@ use wire::{DISCOVERY_PORT, FaultReason, MAX_WORDS, Name, Refusal, State};
 const BEHIND_AN_ANSWER: u32 = 1;
 /// Without a frame it waits longer, so that it does not run between a request and its answer.
 pub const IDLE: u32 = 3;
+/// Behind another datagram of the owner it waits for 20 us without a frame, for ten of its periods
+/// at most: the next one comes as soon as this one is answered, and may be the first exchange.
+const BETWEEN_REQUESTS: u32 = 10;
 /// 10 s without a lease: three tries of the services. A board on a bench without a server should be
 /// usable before its user gives up. The services go on asking.
 pub const FALLBACK_SECONDS: u32 = 10;
@@ -250,10 +253,15 @@ impl<B: Board> Machine<B> {
     /// and with it a turn of the services, waits for the answer to that.
     #[inline(always)]
     pub fn patience(&self, owners: bool) -> u32 {
-        let owner = || self.server.session().owner();
-        match owners || owner().is_none_or(|owner| owner == Peer::INSIDE) {
-            true => BEHIND_AN_ANSWER,
-            false => IDLE,
+        let owner = self.server.session().owner();
+        if owner.is_none_or(|owner| owner == Peer::INSIDE) {
+            BEHIND_AN_ANSWER
+        } else if !owners {
+            IDLE
+        } else if self.server.exchanges {
+            BEHIND_AN_ANSWER
+        } else {
+            BETWEEN_REQUESTS
         }
     }
 
@@ -538,7 +546,7 @@ mod shared;
 mod transport;
 mod visitors;
 
-pub use shared::{Guest, Shared};
+pub use shared::{Guest, Shared, hold_path};
 pub use visitors::{Verb, Verdict, WORDS as VISIT_WORDS};
 
 /// The identity of a board with six axes.

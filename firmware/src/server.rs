@@ -95,6 +95,8 @@ pub struct Server {
     pub(crate) select: u32,
     /// The owner sent something since the last [`Server::poll`].
     pub(crate) spoke: bool,
+    /// The owner's last datagram was an exchange.
+    pub(crate) exchanges: bool,
     /// The flags of the last exchange that was executed.
     pub(crate) flags: u32,
     /// A command was committed since the machine was last put to rest.
@@ -140,6 +142,7 @@ impl Server {
             returned: None,
             select: 0,
             spoke: false,
+            exchanges: false,
             flags: 0,
             committed: true,
             sampled_at: 0,
@@ -510,6 +513,7 @@ impl Server {
         self.validate(board, &packet, peer)?;
         if self.session.is_owner(peer) {
             self.spoke = true;
+            self.exchanges = false;
         }
         let mut writer = ReplyWriter::new(reply, etherbone::HEADER);
         for record in packet.records() {

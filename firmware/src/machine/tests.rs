@@ -2,6 +2,7 @@ use super::*;
 use crate::fake::*;
 use wire::GateClose;
 use wire::describe::JobsState;
+use wire::exchange::Command;
 
 use super::ident_of_six as ident;
 
@@ -115,6 +116,33 @@ fn while_a_host_owns_the_board_housekeeping_waits_for_the_answer_to_it_not_behin
     // An owner that is silent does not keep them from being done.
     owned.board.now += 180_000;
     assert!(owned.due(guests));
+}
+
+#[test]
+fn between_the_requests_of_a_host_that_does_not_exchange_yet_housekeeping_waits_for_a_pause() {
+    let mut machine = machine(Notebook::new());
+    let mut reply = [0; MAX_WORDS];
+    let acquire = [0x4e6f_1044, 0, 0x000f_0100, map::SESSION_ACQUIRE, 7];
+    assert!(machine.datagram(&acquire, ALICE, &mut reply).is_ok());
+    machine.board.now += 599_999;
+    let owners = machine.patience(true);
+    assert!(!machine.due(owners), "behind a request");
+    machine.board.now += 1;
+    assert!(machine.due(owners), "but not for ever");
+    machine.board.now += 180_000;
+    assert!(!machine.due(owners));
+    assert!(machine.due(IDLE), "in a pause");
+    let command = Command {
+        token: machine.session().token_for(ALICE),
+        sequence: 1,
+        ..Command::default()
+    };
+    let mut buffer = [0; MAX_WORDS];
+    let request = command.emit_request(SIX, &mut buffer).unwrap();
+    assert!(machine.datagram(request, ALICE, &mut reply).is_ok());
+    machine.board.now += 60_000;
+    let owners = machine.patience(true);
+    assert!(machine.due(owners), "behind an exchange");
 }
 
 #[test]
