@@ -19,6 +19,7 @@ pub mod plotter;
 pub mod services;
 mod simulator;
 pub mod stops;
+mod ways;
 pub mod wired;
 
 pub use sim::figures::report_part;

@@ -1,8 +1,10 @@
 //! The rows of the fault table that must hold without the CPU, on the Verilated board with the
 //! CPU's clock stopped; and the part of the release image in the other rows.
 
-use ferrocnc_tests::{BenchMachine, report};
-use wire::exchange::Command;
+use ferrocnc_tests::{BenchMachine, report, seed, to_words};
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg32;
+use wire::exchange::{Command, Status};
 use wire::state::State;
 use wire::units::{Accel, Velocity};
 use wire::{FaultReason, map};
@@ -93,6 +95,108 @@ fn firmware_hangs_or_panics() {
     machine.freeze_cpu();
     until_closed(&mut machine, 1_000_000);
     is_safe(&mut machine);
+}
+
+/// Timeout of the watchdog where it bites again and again, in clocks: 3 ms.
+const SHORT: u32 = 180_000;
+/// Clocks behind an answer from which on the next pass is out.
+const NEXT_PASS: u64 = 5_000;
+/// An answer to a command with a pass takes no more clocks.
+const FAST: u32 = 20;
+/// Moments at which the CPU freezes.
+const MOMENTS: usize = 5;
+/// The last byte of a frame comes so many clocks behind the bite.
+const EDGES: [i64; 5] = [-60, -9, -7, -5, 20];
+
+/// Armed by us, at rest, with the last answer.
+fn armed_again(machine: &mut BenchMachine) -> (Command, Status) {
+    machine.rig().freeze_cpu(false);
+    machine.run_millis(2);
+    machine.acquire();
+    machine.write(map::CONFIG_BOARD, SHORT);
+    let mut command = machine.enabled_command();
+    machine.rearm(&mut command);
+    machine.run_clocks(NEXT_PASS);
+    let status = machine.exchange(&mut command);
+    assert!(machine.turnarounds(1)[0] <= FAST, "no pass");
+    (command, status)
+}
+
+/// When the gate closes, in clocks behind the timeout that began with this answer.
+fn closes_behind_its_timeout(machine: &mut BenchMachine, answer: &Status) -> u64 {
+    let closed = until_closed(machine, 2 * u64::from(SHORT));
+    closed - answer.arrival.0 - u64::from(SHORT)
+}
+
+#[test]
+fn a_cpu_that_freezes_with_a_pass_out_answers_once_more_and_the_watchdog_bites_at_its_time() {
+    let seed = seed();
+    let mut random = Pcg32::seed_from_u64(seed);
+    let mut machine = BenchMachine::start();
+    machine.acquire();
+    machine.configure();
+    let patience = machine.rig().patience;
+    // The wall clock begins some clocks after the simulation; a soft stop at rest takes none.
+    let mut bites = Vec::new();
+    for _ in 0..MOMENTS {
+        let (mut command, _) = armed_again(&mut machine);
+        let (freezes, sends) = (
+            random.random_range(NEXT_PASS..60_000),
+            random.random_range(0..60_000),
+        );
+        let when =
+            format!("seed {seed}: {freezes} clocks behind an answer, {sends} before the next");
+        machine.run_clocks(freezes);
+        machine.freeze_cpu();
+        machine.run_clocks(sends);
+        let last = machine.exchange(&mut command);
+        assert!(machine.turnarounds(1)[0] <= FAST, "{when}");
+        machine.rig().patience = 3_000;
+        for _ in 0..2 {
+            let bytes = machine.next_command_bytes(&mut command);
+            assert_eq!(machine.ask(&bytes), None, "{when}: another answer");
+        }
+        machine.rig().patience = patience;
+        bites.push(closes_behind_its_timeout(&mut machine, &last));
+        is_safe(&mut machine);
+    }
+    // A frame that comes when it bites is executed or is not: if it is, the time begins again.
+    let mut executed = Vec::new();
+    for edge in EDGES {
+        let (mut command, before) = armed_again(&mut machine);
+        machine.run_clocks(NEXT_PASS);
+        machine.freeze_cpu();
+        let bytes = machine.next_command_bytes(&mut command);
+        let on_wire = machine.clocks_on_wire(bytes.len());
+        let bite = before.arrival.0 + u64::from(SHORT) + bites[0];
+        let sent = (bite - on_wire).saturating_add_signed(edge);
+        let now = machine.clock();
+        machine.run_clocks(sent - now);
+        machine.rig().patience = 3_000;
+        let answer = machine.ask_words(&to_words(&bytes));
+        machine.rig().patience = patience;
+        executed.push(answer.is_some());
+        match answer {
+            None => assert!(!machine.gate_open(), "{edge}: neither executed nor closed"),
+            Some(words) => {
+                assert!(machine.gate_open(), "{edge}: executed and closed");
+                let status = Status::parse_reply(&words, machine.channels()).expect("a status");
+                bites.push(closes_behind_its_timeout(&mut machine, &status));
+            }
+        }
+        is_safe(&mut machine);
+    }
+    println!("seed {seed}: bites {bites:?}; executed around a bite {executed:?}");
+    assert!(
+        executed.is_sorted_by(|before, after| before >= after),
+        "{executed:?}"
+    );
+    assert!(executed[0] && !executed[EDGES.len() - 1], "{executed:?}");
+    let (least, most) = (bites.iter().min(), bites.iter().max());
+    assert!(
+        most <= least.map(|least| least + 1).as_ref() && most < Some(&64),
+        "{bites:?}"
+    );
 }
 
 #[test]
