@@ -206,26 +206,9 @@ pub fn classify(
         Err(why) => return Class::Refused(why),
     };
     let pseudo = add(add(source, destination), PROTOCOL_UDP + udp_length as u32);
-    let mut sum = add(add(pseudo, words), lengths);
-    let mut index = PAYLOAD_WORD + options;
     let places = payload.get_mut(..count).unwrap_or(&mut []);
-    let (fours, rest) = places.as_chunks_mut::<FOUR>();
-    for four in fours {
-        let [a, b, c, d] = [
-            frame.word(index),
-            frame.word(index + 1),
-            frame.word(index + 2),
-            frame.word(index + 3),
-        ];
-        *four = [a, b, c, d];
-        sum = add(add(add(add(sum, a), b), c), d);
-        index += FOUR;
-    }
-    for place in rest {
-        *place = frame.word(index);
-        sum = add(sum, *place);
-        index += 1;
-    }
+    let sum = add(add(pseudo, words), lengths);
+    let sum = take_payload(frame, PAYLOAD_WORD + options, places, sum);
     if lengths & 0xffff != 0 && fold(sum) != 0xffff {
         return Class::Refused(Refusal::Checksum);
     }
@@ -244,6 +227,30 @@ pub fn classify(
         true => Class::Ours(datagram),
         false => Class::Discovery(datagram),
     }
+}
+
+/// Reads the words from this one on into their places, and adds them to the sum.
+#[inline(always)]
+fn take_payload(frame: &impl Frame, first: usize, places: &mut [u32], mut sum: u32) -> u32 {
+    let mut index = first;
+    let (fours, rest) = places.as_chunks_mut::<FOUR>();
+    for four in fours {
+        let [a, b, c, d] = [
+            frame.word(index),
+            frame.word(index + 1),
+            frame.word(index + 2),
+            frame.word(index + 3),
+        ];
+        *four = [a, b, c, d];
+        sum = add(add(add(add(sum, a), b), c), d);
+        index += FOUR;
+    }
+    for place in rest {
+        *place = frame.word(index);
+        sum = add(sum, *place);
+        index += 1;
+    }
+    sum
 }
 
 /// Bytes of the longest frame of [`Class::Services`] that is taken while a host moves the machine;

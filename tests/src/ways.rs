@@ -1,8 +1,8 @@
 //! What an exchange of the long way waits for, and what it takes itself.
 
 use crate::{BenchMachine, parts, symbol};
+use sim::lan_segment::{BOARD_PORT, HOST_IP};
 use sim::rig::RIG_PORT;
-use sim::segment::{BOARD_PORT, HOST_IP};
 use wire::exchange::Command;
 
 /// Ethernet, IPv4 and UDP headers, preamble and FCS.

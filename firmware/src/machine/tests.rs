@@ -3,6 +3,7 @@ use crate::fake::*;
 use wire::GateClose;
 use wire::describe::JobsState;
 use wire::exchange::Command;
+use wire::map;
 
 use super::ident_of_six as ident;
 

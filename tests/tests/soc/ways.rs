@@ -64,8 +64,8 @@ fn the_six_axis_exchange_turns_around_within_20_clocks_after_the_second() {
     assert_eq!(machine.timing_violations(), 0);
 }
 
-/// Clocks behind the answer to a request of a host that takes the session: as soon as a program can,
-/// a network's time, and in the housekeeping of a pause.
+/// Clocks after the answer to a request of a host that takes the session: as soon as a program
+/// can, a network's time, and in the housekeeping of a pause.
 const BEHIND_A_REQUEST: [u64; 8] = [0, 300, 900, 1_300, 2_100, 3_400, 9_000, 120_000];
 
 #[test]
