@@ -17,8 +17,8 @@ use crate::{FAST, LATE, moving};
 /// The longest call of the services while a host moves the machine, in clocks: as in `flood`, less
 /// than a third of a servo period of 1 kHz.
 const LONGEST_MOVING: u32 = 18_000;
-/// At any other time: half of what the ROM gives them while the owner's machine is at rest.
-const LONGEST_AT_REST: u32 = 50_000;
+/// At any other time: what the ROM gives them while the owner's machine is at rest.
+const LONGEST_AT_REST: u32 = 100_000;
 
 #[test]
 fn three_clients_have_a_console_at_once() {
@@ -78,23 +78,16 @@ fn guests_come(machine: &mut BenchMachine, lines: &[&str]) {
 
 /// Servo periods of a reader of the page, and readers one of which is heard.
 const PERIODS: usize = 40;
-/// Enough for a whole page, of which each period brings a piece.
-const PAGE: usize = 150;
 const READERS: usize = 4;
 
-/// A reader asks for the page while an owner exchanges so many times; what it hears.
-fn asks_for_the_page(
-    machine: &mut BenchMachine,
-    command: &mut Command,
-    periods: usize,
-    state: State,
-) -> String {
+/// A reader asks a machine that moves for its page; what it hears.
+fn asks_for_the_page(machine: &mut BenchMachine, command: &mut Command) -> String {
     const ASK: &str = "GET /status.json HTTP/1.0\r\n\r\n";
     let reader = machine.rig().segment.connect(wire::PAGE_PORT);
     let (mut heard, mut connected, mut asked) = (Vec::new(), false, false);
-    for period in 0..periods {
+    for period in 0..PERIODS {
         let status = machine.exchange_and_wait(command).state;
-        assert_eq!(status.state, state, "period {period}");
+        assert_eq!(status.state, State::Armed, "period {period}");
         assert_eq!(status.services, JobsState::Alive, "period {period}");
         let segment = &mut machine.rig().segment;
         // The board takes one frame of a guest in a period. The last of the handshake is one, and a
@@ -122,10 +115,6 @@ fn the_status_page_is_read_at_rest_and_is_busy_while_the_machine_moves() {
     assert!(text.trim_end().ends_with("</script>"), "{text}");
     // A host owns the machine, which is at rest.
     machine.acquire();
-    let mut command = Command::default();
-    let heard = asks_for_the_page(&mut machine, &mut command, PAGE, State::Disarmed);
-    assert!(heard.starts_with("HTTP/1.1 200 OK"), "{heard}");
-    assert!(heard.ends_with("}\n"), "{heard}");
     guests_come(&mut machine, &LINES);
     let [at_all, at_rest] = machine.longest_calls();
     assert_eq!(at_all, 0, "no call of a machine that moves");
@@ -135,7 +124,7 @@ fn the_status_page_is_read_at_rest_and_is_busy_while_the_machine_moves() {
     let mut heard = String::new();
     // A frame of a guest that comes behind a turn is refused, and would come again a second later.
     for _ in 0..READERS {
-        heard = asks_for_the_page(&mut machine, &mut command, PERIODS, State::Armed);
+        heard = asks_for_the_page(&mut machine, &mut command);
         if !heard.is_empty() {
             break;
         }
