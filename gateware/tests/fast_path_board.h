@@ -185,8 +185,7 @@ struct Board {
     }
     uint32_t read(const std::string &name, unsigned word = 0) { return access(address(name, word), false, 0); }
     void write(const std::string &name, uint32_t data, unsigned word = 0) { access(address(name, word), true, data); }
-    // The longest piece that an access waits for is the answer's words behind the latch, one a
-    // clock.
+    // The longest piece that an access waits for: the answer's words behind the latch, one a clock.
     unsigned longest_piece() const { return 3 * stepgens + 2 * encoders + 20; }
 
     bool pending() { return read("ethmac.sram_writer_ev_pending"); }

@@ -227,7 +227,7 @@ struct Kinds {
 // executed? `good` is the frame it has written down.
 static bool is_like(const Bytes &f, const Bytes &good) {
     if (f.size() != good.size() || with_fcs(without_fcs(f)) != f) return false;
-    // Words 0 to 17 but for 5, 12 and the checksums, as bytes: the slot begins two before the
+    // Words 0 to 17 but for 5, 12 and the checksums, as bytes; the slot begins two before the
     // frame.
     auto compared = [](size_t n) { return n < 70 && !(n >= 18 && n < 22) && n != 24 && n != 25 && n != 40 && n != 41 && !(n >= 46 && n < 50); };
     for (size_t n = 0; n < f.size() - 4; n++)
