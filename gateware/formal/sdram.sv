@@ -11,7 +11,8 @@ module sdram_promises #(
     input wire [18+BANK_BITS:0] at,
     input wire [31:0] data, dq_in
 );
-    sdram #(.BANK_BITS(BANK_BITS), .T_REFI(T_REFI), .READY(READY)) core (.clk(clk), .reset(reset), .want(want), .store(store), .at(at), .data(data), .taken(), .valid(), .word(), .ready(),
+    sdram #(.BANK_BITS(BANK_BITS), .T_REFI(T_REFI), .READY(READY)) core (
+        .clk(clk), .reset(reset), .want(want), .store(store), .at(at), .data(data), .taken(), .valid(), .word(), .ready(),
         .ras_n(), .cas_n(), .we_n(), .ba(), .a(), .drives(), .dq_out(), .dq_in(dq_in));
 endmodule
 `default_nettype wire
