@@ -404,7 +404,7 @@ mod tests {
         }
         let said = read(&scratch("none.key")).unwrap_err().to_string();
         assert!(
-            said.contains("wants a key") && said.contains("--key FILE"),
+            said.contains("requires a key") && said.contains("--key FILE"),
             "{said}"
         );
     }

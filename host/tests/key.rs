@@ -106,7 +106,7 @@ fn a_client_without_the_key_or_with_another_is_told_what_to_do() {
     let said = said.to_string();
     for part in [
         &board.text()[..],
-        "wants a key",
+        "requires a key",
         "/nowhere/at/all.key",
         "key=FILE",
         "factory pin",
@@ -205,7 +205,7 @@ fn a_key_is_made_kept_for_this_user_alone_shown_changed_and_cleared() {
     let stranger = self::home("stranger");
     for arguments in [["key", "new", &at], ["key", "clear", &at]] {
         let said = complaint(&stranger, &arguments);
-        assert!(said.contains("wants a key"), "{said}");
+        assert!(said.contains("requires a key"), "{said}");
     }
     assert_eq!(board.look().flash.settings.key, first.words());
     assert!(files(&stranger).is_empty(), "{:?}", files(&stranger));
@@ -441,7 +441,7 @@ fn settings_change_with_the_key_only_and_leave_it_alone() {
     let [right, wrong] = [right, wrong].map(|keys| keys.path([0; 2]).unwrap());
     let [right, wrong] = [&right, &wrong].map(|path| path.to_str().unwrap());
     let said = complaint(&home, &["set", &at, "--name", "mill"]);
-    assert!(said.contains("wants a key"), "{said}");
+    assert!(said.contains("requires a key"), "{said}");
     let said = complaint(&home, &["set", &at, "--name", "mill", "--key", wrong]);
     assert!(said.contains("not the one in"), "{said}");
     assert_eq!(board.look().flash.settings.name.text(), "");

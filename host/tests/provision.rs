@@ -152,7 +152,7 @@ fn settings_over_the_address_are_saved_with_the_key_kept_and_the_board_starts_an
     }
     // From now on the board requires its key; with the factory pin held it does not.
     let said = provision::forget_at(client(&board).with_keys(Keys::File("/none".into())));
-    assert!(said.unwrap_err().to_string().contains("wants a key"));
+    assert!(said.unwrap_err().to_string().contains("requires a key"));
     board.look().key = None;
     provision::forget_at(client(&board)).unwrap();
     let overview = Overview::read(&mut client(&board)).unwrap();

@@ -316,7 +316,9 @@ impl Twin {
     /// The firmware starts on the board as it stands.
     fn begin(&mut self) {
         (self.owner, self.offer_at) = (None, u64::MAX);
-        let board = &mut self.machine.alone().board;
+        // The restart of the board took back a pass that was out, with the firmware that remembers
+        // it.
+        let board = self.machine.board();
         let boot = board.record.boot(board.model.clocks() as u32);
         let (flash, trailer) = (board.flash.clone(), board.trailer);
         let (gateware, readback) = {

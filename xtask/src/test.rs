@@ -320,7 +320,7 @@ impl Level {
             Level::Lint => lint::check(),
             Level::Unit => {
                 let mut cargo = cargo_tests::command();
-                cargo.arg("--workspace");
+                cargo.args(["--workspace", "--no-fail-fast"]);
                 cargo_tests::run("test-unit", "cargo test", "3 min", &mut cargo)
             }
             Level::Generated => {

@@ -373,9 +373,9 @@ mod tests {
             (1.0, right * 1.01, Bad, "so it is this one"),
             (1.04, right, Bad, "so it is the board's"),
             (1.000_5, right, Note, "so it is the board's"),
-            (1.02, right * 0.98, Bad, "no two"),
+            (1.02, right * 0.98, Bad, "all differ"),
             (1.0, 25e6, Bad, "of another speed"),
-            (1.0, 0.0, Bad, "frames come and go"),
+            (1.0, 0.0, Bad, "frames arrive and leave"),
         ] {
             let (verdict, fact, reason) = finding(rate, hertz, LinkSpeed::M1000);
             assert_eq!(verdict, expected, "{rate} {hertz}: {fact}");

@@ -301,7 +301,7 @@ mod tests {
             ("pull@4s..2s", "earlier time first"),
             ("pull=3", "pull@2s..4s"),
             ("reboot@1s..2s", "reboot@3s"),
-            ("to-board:reboot", "leave to-board:"),
+            ("to-board:reboot", "remove to-board:"),
             ("host-pause", "host-pause@2s..3s"),
             ("delay=1..2", "1.5ms"),
             ("delay=9000000s", "a week"),
