@@ -7,6 +7,8 @@ here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
 rtl=${RTL:-$here/../rtl}
 out=${OUT:-$root/target/gateware/tests}
+# Every bench has Verilator's own library, which takes longer to compile than most of them.
+if command -v ccache >/dev/null; then export OBJCACHE=ccache CCACHE_DIR=$out/ccache; fi
 only=${1:-}
 
 if [ -z "${VERILATOR:-}" ]; then

@@ -20,6 +20,7 @@ const PACKAGES: &[(&str, &str)] = &[
         "its C++ library; compiles libFuzzer and the benches of the cores",
     ),
     ("make", "drives that compilation"),
+    ("ccache", "compiles Verilator's own library once"),
     ("perl", "Verilator is a Perl script"),
     ("zlib1g-dev", "waveform dumps"),
     ("liblz4-dev", "waveform dumps"),
