@@ -6,14 +6,13 @@
 //! than [`NEXT_PASS`] may have to wait for the CPU, up to [`LATE`]. The figures are printed and
 //! stand in `target/reports/flood.json`.
 
-use ferrocnc_tests::flood::{Answer, KINDS, Kind};
+use ferrocnc_tests::flood::{Answer, BusyConsole, KINDS, Kind};
 use ferrocnc_tests::wired::{mill, program, setup};
 use ferrocnc_tests::{BenchMachine, report_part, seed};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use serde_json::{Map, Value, json};
 use sim::exchange::Spread;
-use sim::lan_segment::Connection;
 use std::cell::Cell;
 use wire::exchange::Command;
 use wire::state::State;
@@ -304,7 +303,7 @@ const IN_A_TURN: [u64; 2] = [5_000, 8_000];
 fn too_soon(
     machine: &mut BenchMachine,
     command: &mut Command,
-    console: Connection,
+    console: &mut BusyConsole,
     frame: impl Fn(&mut BenchMachine) -> Vec<u8>,
 ) -> u64 {
     let cost = machine.costs_in_a_turn(command, console, TOO_SOON, frame);
@@ -321,7 +320,7 @@ fn an_exchange_that_comes_in_a_turn_of_the_services_waits_neither_for_it_nor_for
     let (mut machine, mut command) = moving();
     let mut costs = Map::new();
     let refused = machine.refusals(Refusal::Busy);
-    let console = machine.console_beside(&mut command);
+    let console = &mut BusyConsole::new(machine.console_beside(&mut command));
     for kind in [Kind::Arp, Kind::PingArmed, Kind::ShortRead] {
         let frames: Vec<_> = (0..3).map(|_| machine.frame(kind, &mut rng)).collect();
         let next = Cell::new(0);
