@@ -37,6 +37,8 @@ use crate::plant::Plant;
 use crate::report::{Counters, FrameCounts, Report, Seen};
 use crate::soc::{LINK_1000, Manifest, Pins, SdramLines, Silicon, Soc};
 
+pub use ::firmware::services::line_editor::PROMPT;
+
 /// Source port of [`Rig::exchange`] and the register helpers.
 pub const RIG_PORT: u16 = 39_999;
 
@@ -651,7 +653,7 @@ impl<S: Silicon> Rig<S> {
 
     /// The same with a console, until it waits for a line: the answer to one line, or the greeting.
     pub fn tcp_say(&mut self, console: Connection, line: &str) -> String {
-        let prompt = ::firmware::services::line_editor::PROMPT.as_bytes();
+        let prompt = PROMPT.as_bytes();
         self.tcp_talk_until(console, line, 25, |heard| heard.ends_with(prompt))
     }
 
@@ -689,10 +691,7 @@ impl<S: Silicon> Rig<S> {
         let connection = self.tcp_connect(CONSOLE_PORT)?;
         let prompts = 1 + text.matches('\n').count();
         let heard = self.tcp_talk_until(connection, text, 25, |heard| {
-            String::from_utf8_lossy(heard)
-                .matches(::firmware::services::line_editor::PROMPT)
-                .count()
-                >= prompts
+            String::from_utf8_lossy(heard).matches(PROMPT).count() >= prompts
         });
         self.segment.close(connection);
         self.run(self.clocks(Duration::from_millis(1)));

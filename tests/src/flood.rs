@@ -11,7 +11,7 @@ use sim::gmii;
 use sim::lan_segment::{
     BOARD_IP, BOARD_PORT, CONSOLE_PORT, Connection, Endpoint, HOST_IP, HOST_MAC,
 };
-use sim::rig::RIG_PORT;
+use sim::rig::{PROMPT, RIG_PORT};
 use std::net::Ipv4Addr;
 use wire::board::crc32;
 use wire::exchange::{Command, Status};
@@ -39,8 +39,6 @@ const HANDSHAKE: usize = 20;
 const PIECES: usize = 200;
 /// Turns with a frame at each of these moments.
 const TURNS: usize = 4;
-/// What a console says when it waits for a line.
-const PROMPT: &[u8] = b"ferrocnc> ";
 /// Bytes a gigabit wire takes in a servo period of a millisecond, gaps and preambles included.
 const WIRE_BYTES: u64 = 125_000;
 
@@ -605,12 +603,12 @@ impl BenchMachine {
                 worst = worst.max(answer.as_ref().map(|answer| answer.turnaround));
                 assert!(answer.is_some(), "{line}: no answer");
                 heard.extend(self.rig.segment.recv(connection));
-                if heard.ends_with(PROMPT) {
+                if heard.ends_with(PROMPT.as_bytes()) {
                     break;
                 }
             }
             let heard = String::from_utf8_lossy(&heard);
-            let whole = heard.ends_with("ferrocnc> ") && !heard.contains("not while armed");
+            let whole = heard.ends_with(PROMPT) && !heard.contains("not while armed");
             assert!(whole, "{line}: {heard}");
             costs.push((*line, worst));
         }
@@ -670,7 +668,7 @@ impl BusyConsole {
     pub fn new(connection: Connection) -> Self {
         BusyConsole {
             connection,
-            heard: PROMPT.to_vec(),
+            heard: PROMPT.as_bytes().to_vec(),
         }
     }
 
@@ -678,7 +676,7 @@ impl BusyConsole {
     fn go_on(&mut self, machine: &mut BenchMachine) {
         let segment = &mut machine.rig.segment;
         self.heard.extend(segment.recv(self.connection));
-        if self.heard.ends_with(PROMPT) {
+        if self.heard.ends_with(PROMPT.as_bytes()) {
             self.heard.clear();
             segment.send(self.connection, b"help\n");
         }

@@ -298,6 +298,24 @@ impl BenchMachine {
         assert!(self.gate_open());
     }
 
+    /// All velocities are 0 from now on, and all axes come to rest. What was asked for is what was
+    /// done: each axis has moved, and every pulse the board tells of was at the pins, in time.
+    pub fn comes_to_rest(&mut self, command: &mut Command, what: &str) {
+        for (velocity, _) in &mut command.stepgen {
+            *velocity = Velocity(0);
+        }
+        for _ in 0..5 {
+            self.exchange_and_wait(command);
+        }
+        let status = self.exchange_and_wait(command);
+        for axis in 0..usize::from(self.channels().stepgens) {
+            let told = status.stepgen[axis].0.pulses();
+            assert_eq!(told, self.pulses(axis), "{what}: axis {axis}");
+            assert!(self.edges(axis) > 0, "{what}: axis {axis} moved");
+        }
+        assert_eq!(self.timing_violations(), 0, "{what}");
+    }
+
     // ---- datagrams ------------------------------------------------------------------------------
 
     /// Sends a datagram from our port and waits for its answer.

@@ -74,24 +74,6 @@ fn axes(machine: &BenchMachine) -> usize {
     usize::from(machine.channels().stepgens)
 }
 
-/// What was asked for is what was done: all axes at rest, every pulse the board tells of was at the
-/// pins.
-fn comes_to_rest(machine: &mut BenchMachine, command: &mut Command) {
-    for (velocity, _) in &mut command.stepgen {
-        *velocity = Velocity(0);
-    }
-    for _ in 0..5 {
-        machine.exchange_and_wait(command);
-    }
-    let status = machine.exchange_and_wait(command);
-    for axis in 0..axes(machine) {
-        let told = status.stepgen[axis].0.pulses();
-        assert_eq!(told, machine.pulses(axis), "axis {axis}");
-        assert!(machine.edges(axis) > 0, "axis {axis} moved");
-    }
-    assert_eq!(machine.timing_violations(), 0);
-}
-
 /// Adds a section to the report.
 fn report(section: &str, value: Value) {
     report_part("flood", "bound_clocks", BOUND.into());
@@ -102,7 +84,7 @@ fn report(section: &str, value: Value) {
 fn under_a_flood_of_any_kind_every_exchange_is_answered_within_the_bound() {
     let (mut machine, mut command) = moving();
     report("floods", floods(&mut machine, &mut command, PERIODS));
-    comes_to_rest(&mut machine, &mut command);
+    machine.comes_to_rest(&mut command, "behind the frames");
 }
 
 #[test]
@@ -123,7 +105,7 @@ fn a_board_that_executes_jobs_keeps_the_bound_under_floods_and_behind_every_fram
         (1..=LONGEST_CALL).contains(&moving) && other > 0,
         "{moving}, {other}"
     );
-    comes_to_rest(&mut machine, &mut command);
+    machine.comes_to_rest(&mut command, "behind the frames");
 }
 
 /// Every kind of flood for so many periods.
@@ -224,7 +206,7 @@ fn a_guests_dearest_frame_right_in_front_of_an_exchange_delays_it_by_no_more_tha
         "no such command",
     ];
     report("guests", dearest(&mut machine, &mut command, &lines));
-    comes_to_rest(&mut machine, &mut command);
+    machine.comes_to_rest(&mut command, "behind the frames");
 }
 
 /// Each frame of a guest right in front of an exchange, and these lines of the console; the longest
@@ -352,7 +334,7 @@ fn an_exchange_that_comes_in_a_turn_of_the_services_waits_neither_for_it_nor_for
     }
     assert!(machine.told_the_owner_its_address());
     report("in_a_turn", costs.into());
-    comes_to_rest(&mut machine, &mut command);
+    machine.comes_to_rest(&mut command, "behind the frames");
 }
 
 #[test]
@@ -375,7 +357,7 @@ fn the_owners_arp_comes_through_a_storm_and_a_guests_ping_does_when_it_is_over()
         machine.period_with(&mut command, &[], 0);
     }
     assert!(machine.ping().is_some());
-    comes_to_rest(&mut machine, &mut command);
+    machine.comes_to_rest(&mut command, "behind the frames");
 }
 
 #[test]

@@ -12,7 +12,6 @@ use wire::describe::JobsState;
 use wire::exchange::{Command, Status};
 use wire::regmap::{WINDOW_BASE, WINDOW_SIZE, address, command, stepgen, timebase, watchdog};
 use wire::state::State;
-use wire::units::Velocity;
 
 use crate::{EBREAK, FAST, LATE, LEASH, becomes, moving, state};
 
@@ -132,28 +131,11 @@ fn outlives(what: &str, program: &[u8], late: u64) {
     let frames = machine.rig().take_frames();
     let echo = |frame: &Vec<u8>| frame[12..14] == [8, 0] && frame[23] == 1 && frame[34] == 0;
     assert!(frames.iter().any(echo), "{what}: the ROM's ping");
-    comes_to_rest(&mut machine, &mut command, what);
+    machine.comes_to_rest(&mut command, what);
     for port in [CONSOLE_PORT, wire::jobs::PORT] {
         let refused = machine.rig().tcp_connect(port).is_err();
         assert!(refused, "{what}: port {port} does not answer any more");
     }
-}
-
-/// All axes at rest; every pulse the board tells of was at the pins.
-fn comes_to_rest(machine: &mut BenchMachine, command: &mut Command, what: &str) {
-    for (velocity, _) in &mut command.stepgen {
-        *velocity = Velocity(0);
-    }
-    for _ in 0..5 {
-        machine.exchange_and_wait(command);
-    }
-    let status = machine.exchange_and_wait(command);
-    for axis in 0..3 {
-        let told = status.stepgen[axis].0.pulses();
-        assert_eq!(told, machine.pulses(axis), "{what}: axis {axis}");
-        assert!(machine.edges(axis) > 0, "{what}: axis {axis} moved");
-    }
-    assert_eq!(machine.timing_violations(), 0, "{what}");
 }
 
 /// Steps an axis has made beyond those of its velocity, from one sample to the next.

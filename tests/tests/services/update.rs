@@ -11,7 +11,6 @@ use wire::describe::JobsState;
 use wire::flash::{Op, OpResult, OpWord, PAGE, Slot};
 use wire::images::{Role, Trailer};
 use wire::map;
-use wire::units::Velocity;
 
 use crate::{EBREAK, FAST, becomes, moving, state};
 
@@ -36,12 +35,7 @@ pub fn answers_without_services(machine: &mut BenchMachine, what: &str) {
     }
     let spread = machine.turnaround_spread(EXCHANGES);
     assert!(spread.max <= FAST, "{what}: {spread:?}");
-    for (velocity, _) in &mut command.stepgen {
-        *velocity = Velocity(0);
-    }
-    for _ in 0..5 {
-        machine.exchange_and_wait(&mut command);
-    }
+    machine.comes_to_rest(&mut command, what);
     machine.release();
 }
 
