@@ -19,14 +19,17 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// What `cargo fuzz` tells rustc, but for the sanitizer, which only a nightly one has.
-const INSTRUMENT: &str = "--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
+/// What `cargo fuzz` tells rustc, but for the sanitizer, which only a nightly one has, and for
+/// `--cfg fuzzing`, with which smoltcp checks no sums: the board does.
+const INSTRUMENT: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
     -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
     -Cllvm-args=-sanitizer-coverage-trace-compares";
 /// Seconds for one input: the slowest there are take 0.7 of a core.
 const PATIENCE: u32 = 120;
 /// Seconds for making a finding smaller.
 const MINIMISE: u32 = 20;
+/// An input of so many bytes is printed: nothing else may be left of a run on another machine.
+const SHORT: usize = 64;
 /// Without a terminal, a line this often.
 const TELL: Duration = Duration::from_secs(30);
 
@@ -378,10 +381,11 @@ impl Outcome {
             .smaller(binaries, input)
             .unwrap_or_else(|| input.clone());
         let shown = input.strip_prefix(root()).unwrap_or(&input).display();
-        println!(
-            "    input      {shown}, {} bytes",
-            fs::metadata(&input)?.len()
-        );
+        let bytes = fs::read(&input)?;
+        println!("    input      {shown}, {} bytes", bytes.len());
+        if bytes.len() <= SHORT {
+            println!("    bytes      {bytes:02x?}");
+        }
         println!("    see it     cargo xtask fuzz --replay {shown}");
         println!(
             "    keep it    cp {shown} fuzz/regressions/{}/WHAT_IT_SHOWS",

@@ -200,6 +200,15 @@ fn ones(bytes: &[u8], from: u32) -> u32 {
     (sum >> 16) + (sum & 0xffff)
 }
 
+/// Is it a ping with a wrong sum? The board does not answer one; but smoltcp takes each sum for a
+/// right one when it is built with `--cfg fuzzing`, as `cargo fuzz` does, and the sum of an answer
+/// of the ROM is as wrong as that of its question.
+fn has_wrong_ping_sum(frame: &[u8]) -> bool {
+    let header = 4 * usize::from(frame[14] & 15);
+    let total = usize::from(u16::from_be_bytes([frame[16], frame[17]]));
+    frame[12..14] == [8, 0] && ones(&frame[14 + header..14 + total], 0) != 0xffff
+}
+
 /// Ones' complement sum over a UDP or TCP segment with its pseudo header.
 fn segment_sum(source: [u8; 4], destination: [u8; 4], protocol: u8, segment: &[u8]) -> u32 {
     let mut pseudo = [source, destination].concat();
@@ -513,8 +522,9 @@ impl Station<'_> {
     fn reserve(&self, bytes: &[u8]) {
         let us = self.machine.us;
         let mut answer = [0; FRAME_MAX];
-        if let Some(length) = reserve::answer(bytes, &us, &mut answer) {
-            check(&answer[..length], &us);
+        let answer = reserve::answer(bytes, &us, &mut answer).map(|length| &answer[..length]);
+        if let Some(answer) = answer.filter(|_| !has_wrong_ping_sum(bytes)) {
+            check(answer, &us);
         }
     }
 
