@@ -249,8 +249,11 @@ impl Driver {
         let period = Period::new(period_ns, self.clock_hz);
         match self.session.phase {
             Phase::Online { token } => {
-                let settled = self.send_settings(period.clock_hz);
+                let wanted = self.wanted_settings(period.clock_hz);
+                let settled = self.settled(&wanted);
                 self.send_command(token, settled, period);
+                // Behind the command, so that its answer does not wait for theirs.
+                self.send_settings(&wanted);
                 self.ask_for_ways(period_ns);
             }
             Phase::Acquiring { wait: 0, tag } => {

@@ -7,11 +7,15 @@
 //! without SDRAM; [`fonts`] finds the fonts. Docs: `docs/jobs.md`.
 
 pub mod client;
+#[cfg(feature = "drawing")]
 pub mod fonts;
 pub mod machine;
+#[cfg(feature = "drawing")]
 mod order;
+#[cfg(feature = "drawing")]
 pub mod preview;
 pub mod program;
 pub mod stream;
+#[cfg(feature = "drawing")]
 pub mod svg;
 pub mod trace;

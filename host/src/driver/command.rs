@@ -1,4 +1,4 @@
-//! Sends missing settings and the command to the board in every period.
+//! Sends the command to the board in every period, and the settings it lacks.
 
 use super::Driver;
 use super::tell::Event;
@@ -14,36 +14,56 @@ use wire::{MAX_WORDS, State};
 /// Tries after which settings without a receipt are worth a message: 5 x 20 periods.
 const REFUSED_TRIES: u32 = 5;
 
+/// What the board is to have.
+pub(super) struct Wanted {
+    periods: Periods,
+    /// At rest only.
+    disarmed: Option<Disarmed>,
+}
+
 impl Driver {
-    /// Sends settings the board lacks; `true` when it lacks none.
-    pub(super) fn send_settings(&mut self, clock_hz: f64) -> bool {
-        let mut words = [0; MAX_WORDS];
+    /// The settings of the pins in this period.
+    pub(super) fn wanted_settings(&mut self, clock_hz: f64) -> Wanted {
         let mut periods = Periods::default();
         for (word, pwm) in periods.0.iter_mut().zip(&self.blocks.pwms) {
             *word = pwm.period(clock_hz);
-        }
-        let tag = self.next_tag();
-        if let Some(request) = self
-            .session
-            .periods
-            .due(&periods, self.channels, tag, &mut words)
-        {
-            // A datagram that was not sent gets no answer, so it is due again.
-            let _ = self.link.send(request);
         }
         let at_rest = match self.condition.state {
             State::Disarmed | State::Faulted => !self.condition.live,
             State::Boot | State::Armed | State::Stopping => false,
         };
-        if !at_rest {
-            return false;
+        let disarmed = at_rest.then(|| self.gather(clock_hz));
+        Wanted { periods, disarmed }
+    }
+
+    /// Does the board, at rest, have all of these settings?
+    pub(super) fn settled(&self, wanted: &Wanted) -> bool {
+        let session = &self.session;
+        let disarmed = wanted.disarmed.as_ref();
+        disarmed.is_some_and(|disarmed| session.disarmed_settings.settled(disarmed))
+            && session.periods.settled(&wanted.periods)
+    }
+
+    /// Sends settings the board lacks. A datagram that was not sent gets no answer, so it is due
+    /// again.
+    pub(super) fn send_settings(&mut self, wanted: &Wanted) {
+        let mut words = [0; MAX_WORDS];
+        let tag = self.next_tag();
+        if let Some(request) =
+            self.session
+                .periods
+                .due(&wanted.periods, self.channels, tag, &mut words)
+        {
+            let _ = self.link.send(request);
         }
-        let wanted = self.gather(clock_hz);
+        let Some(disarmed) = &wanted.disarmed else {
+            return;
+        };
         let tag = self.next_tag();
         if let Some(request) =
             self.session
                 .disarmed_settings
-                .due(&wanted, self.channels, tag, &mut words)
+                .due(disarmed, self.channels, tag, &mut words)
         {
             let _ = self.link.send(request);
         }
@@ -62,7 +82,6 @@ impl Driver {
                 ),
             );
         }
-        self.session.disarmed_settings.settled(&wanted) && self.session.periods.settled(&periods)
     }
 
     pub(super) fn gather(&mut self, clock_hz: f64) -> Disarmed {
