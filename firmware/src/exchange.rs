@@ -189,6 +189,7 @@ impl Server {
         if now && self.safety.steady(enable, enable_request, gate) {
             board.strobe(timebase::STROBE_COMMIT | timebase::STROBE_SAMPLE);
         } else if self.safety.waiting(enable_request, gate) {
+            self.safety.waited(enable_request);
             board.strobe(timebase::STROBE_SAMPLE);
         } else {
             let at = (!now).then_some(head.apply);

@@ -248,6 +248,12 @@ impl<B: Board> Machine<B> {
         Ok(reply)
     }
 
+    /// Has the owner made an exchange?
+    #[inline(always)]
+    pub fn exchanges(&self) -> bool {
+        self.server.exchanges
+    }
+
     /// Periods of housekeeping that may pass after a frame; `owners`: the owner's. While a host
     /// owns the board, a frame of another one may be right in front of the owner's: housekeeping,
     /// and with it a turn of the services, waits for the answer to that.
@@ -258,7 +264,7 @@ impl<B: Board> Machine<B> {
             BEHIND_AN_ANSWER
         } else if !owners {
             IDLE
-        } else if self.server.exchanges {
+        } else if self.exchanges() {
             BEHIND_AN_ANSWER
         } else {
             BETWEEN_REQUESTS

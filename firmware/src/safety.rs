@@ -228,15 +228,24 @@ impl Safety {
     }
 
     /// Would this command neither change the state nor be executed, as from a host that looks and
-    /// waits? Asked for the same reason as [`Safety::steady`].
+    /// waits? Asked for the same reason as [`Safety::steady`]. An answer without [`Safety::step`]
+    /// needs [`Safety::waited`].
     #[inline]
     pub fn waiting(&self, request: bool, gate: Gate) -> bool {
         self.at_rest()
+            && self.session
             && !gate.open()
             && matches!(
                 (self.request, request),
-                (Request::High | Request::Unknown, true) | (Request::Low, false)
+                (Request::High | Request::Unknown, true) | (Request::Low | Request::Unknown, false)
             )
+    }
+
+    /// All that [`Safety::step`] does with a command that is [`Safety::waiting`]: a request that is
+    /// low for the first time in a session counts.
+    #[inline]
+    pub fn waited(&mut self, request: bool) {
+        self.request = self.request.follow(request);
     }
 
     /// The transition function. It is total: every event in every state.

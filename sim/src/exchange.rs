@@ -29,9 +29,9 @@ fn is_write(payload: &[u8]) -> bool {
     is_etherbone(payload) && word(payload, HEADER_WORDS).is_some_and(|record| counts(record).0 != 0)
 }
 
-/// The datagram reads, and writes nothing.
-pub fn is_read(payload: &[u8]) -> bool {
-    is_etherbone(payload) && !is_write(payload) && wants_reply(payload)
+/// The datagram asks for an answer and is no exchange: it reads, or writes settings and reads.
+pub fn is_question(payload: &[u8]) -> bool {
+    is_etherbone(payload) && !is_request(payload) && wants_reply(payload)
 }
 
 /// The datagram carries a command block (well-formed or not): an Etherbone write based at the

@@ -41,6 +41,9 @@ impl Server {
             return;
         }
         self.session.accept(pass.sequence);
+        if !pass.executes {
+            self.safety.waited(pass.flags & FLAG_ENABLE_REQUEST != 0);
+        }
         self.select = board.staged(command::PROBE_ARMS) >> command_word::LATCH_SHIFT;
         self.commit_pending |= pass.timed();
         let counters = &mut self.counters;

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use super::device::{Device, Service};
 use super::{Event, SLICE, Server};
-use crate::exchange::{is_read, is_request};
+use crate::exchange::{is_question, is_request};
 
 /// How long a host that asked something may take until its next exchange, in the machine's time.
 const NEXT_EXCHANGE: Duration = Duration::from_millis(50);
@@ -48,8 +48,12 @@ impl<D: Device> Server<D> {
         match event {
             Ok(Event::Datagram(Service::Etherbone, sender, payload)) if is_request(&payload) => {
                 // A period starts where the last one ended, unless time has been moved by something
-                // else since.
-                let start = self.rig.clock().max(self.period_end);
+                // else since. A servo thread takes the session in the period before its first one.
+                let before = match self.exchanger == Some(sender) {
+                    true => 0,
+                    false => period,
+                };
+                let start = (self.rig.clock() + before).max(self.period_end);
                 self.pass(start);
                 self.period_end = start + period;
                 self.orphan_until = 0;
@@ -64,7 +68,7 @@ impl<D: Device> Server<D> {
             Ok(Event::Datagram(Service::Etherbone, sender, payload))
                 if self.last_exchange.is_some()
                     && self.exchanger == Some(sender)
-                    && is_read(&payload) =>
+                    && is_question(&payload) =>
             {
                 self.asked.push((sender, payload));
             }

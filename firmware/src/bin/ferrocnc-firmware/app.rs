@@ -142,9 +142,10 @@ impl App {
         }
     }
 
-    /// The next exchange of the owner may be executed without the CPU.
+    /// The next exchange of the owner may be executed without the CPU. A frame that is there before
+    /// the first exchange of a session may be that: a pass would come too late for it.
     fn offer(&mut self) {
-        if self.owner.is_some() {
+        if self.owner.is_some() && (self.machine.exchanges() || !self.mac.pending()) {
             self.machine.offer();
         }
     }
