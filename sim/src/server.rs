@@ -18,7 +18,7 @@
 //!
 //! *Free*: time runs as fast as it can, or paced.
 //!
-//! The only inspection of a datagram is whether it is an exchange, or asks for an answer.
+//! The only inspection of a datagram is whether it is an exchange, or what a host asks between two.
 
 mod cable;
 mod device;

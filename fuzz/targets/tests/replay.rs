@@ -183,7 +183,7 @@ fn scripts_of_frames_do_what_they_are_called() {
     ] {
         assert_eq!(script(name).sent, 0, "{name}");
     }
-    assert_eq!(script("on_the_fast_path").ways, [2, 4]);
+    assert_eq!(script("on_the_fast_path").ways, [3, 3]);
     assert_eq!(script("the_fast_path_and_damage").ways, [2, 1]);
     // ARP, ping, two handshakes and a DHCP server beside a machine that moves; and long frames.
     assert_eq!(script("moving_among_guests").beside, [5, 0]);

@@ -3,6 +3,7 @@ use crate::board::Board;
 use crate::plant::Plant;
 use crate::rig::Rig;
 use crate::soc::{ETH, Pins, SYS, Silicon};
+use wire::map::CONFIG;
 
 /// Silicon that answers every UDP frame as a board would: addresses and ports exchanged, the
 /// payload echoed. It stores the frame and sends the answer when the frame has ended.
@@ -185,9 +186,9 @@ fn question() -> Vec<u8> {
     bytes(&[0x4e6f_1000, 0, 0x0000_0001, 0, 0x1234])
 }
 
-/// A record that writes one word and reads one.
+/// A record that writes a setting and reads one word.
 fn setting() -> Vec<u8> {
-    bytes(&[0x4e6f_1000, 0, 0x000f_0101, 0x1234, 7, 0, 0x1234])
+    bytes(&[0x4e6f_1000, 0, 0x000f_0101, CONFIG, 7, 0, 0x1234])
 }
 
 #[test]
