@@ -6,7 +6,7 @@ use core::arch::global_asm;
 use core::ffi::c_void;
 use core::sync::atomic::{AtomicPtr, Ordering::Relaxed};
 use firmware::machine::{IDLE, Lease, Machine, Shared, VISIT_WORDS, Verb, Verdict, hold_path};
-use firmware::net::{self, Class, Datagram, UdpPorts, Us};
+use firmware::net::{self, Class, Datagram, HEADERS, UdpPorts, Us};
 use firmware::reserve;
 use firmware::services::abi;
 use wire::describe::JobsState;
@@ -230,24 +230,28 @@ impl App {
     }
 
     fn datagram(&mut self, datagram: &Datagram, owner: bool) {
+        // Where no frame leaves the board, the answer goes nowhere.
+        let mut slot = self.mac.slot();
         let Mac { input, output, .. } = &mut self.mac;
         let words = input.words().get(..datagram.words()).unwrap_or(&[]);
         let peer = datagram.peer;
+        let room = match &mut slot {
+            Some(slot) => slot.payload(),
+            None => output.words(),
+        };
         let served = match owner {
-            true => self.machine.alone().datagram(words, peer, output.words()),
-            false => self.machine.guest().datagram(words, peer, output.words()),
+            true => self.machine.alone().datagram(words, peer, room),
+            false => self.machine.guest().datagram(words, peer, room),
         };
         let Ok(reply) = served else {
             return;
         };
-        let reply = reply.len();
-        if reply != 0
-            && let Some(mut slot) = self.mac.slot()
+        let bytes = reply.len() * 4;
+        if bytes != 0
+            && let Some(mut slot) = slot
         {
-            net::emit_headers(&mut slot, &self.machine.us, datagram, reply * 4);
-            let words = self.mac.output.words().get(..reply).unwrap_or(&[]);
-            let length = net::emit_payload(&mut slot, words);
-            self.mac.send(length);
+            net::emit_headers(&mut slot, &self.machine.us, datagram, bytes);
+            self.mac.send(HEADERS + bytes);
             self.machine.sent(1);
         }
         let session = self.machine.session();

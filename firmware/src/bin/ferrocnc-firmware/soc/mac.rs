@@ -13,8 +13,9 @@
 
 use core::mem::MaybeUninit;
 use core::ptr::{read_volatile, write_volatile};
+use core::sync::atomic::{Ordering, compiler_fence};
 use firmware::block::Shape;
-use firmware::net::{Datagram, Frame, Slot, Us};
+use firmware::net::{Datagram, Frame, PAYLOAD_WORD, Slot, Us};
 use firmware::pass::{self, Expected, FLAGS_PLACE, Pass, SEQUENCE_PLACE};
 use litex_pac::{Ethmac, RxAdmission};
 use wire::MAX_WORDS;
@@ -42,6 +43,15 @@ impl Frame for RxFrame {
 
 /// A frame being written, in its slot.
 pub struct TxSlot(*mut u32);
+
+impl TxSlot {
+    /// Where a datagram's payload lies in it: an answer that is made there is not copied.
+    pub fn payload(&mut self) -> &mut [u32; MAX_WORDS] {
+        const { assert!((PAYLOAD_WORD + MAX_WORDS) * 4 <= regmap::ETHMAC_SLOT_SIZE) };
+        // SAFETY: memory of the slot, which takes any words; the MAC reads it after `start_common`.
+        unsafe { &mut *self.0.add(PAYLOAD_WORD).cast() }
+    }
+}
 
 impl Slot for TxSlot {
     #[inline(always)]
@@ -119,8 +129,9 @@ fn aim(regs: &Ethmac, slot: u32, length: u32) {
         .write(|w| unsafe { w.bits(length) });
 }
 
-/// Sends the common slot.
+/// Sends the common slot, with all that was written to it before.
 fn start_common(regs: &Ethmac, length: usize) {
+    compiler_fence(Ordering::Release);
     aim(regs, COMMON as u32, (length + PAD) as u32);
     regs.sram_reader_start().write(|w| unsafe { w.bits(1) });
 }
