@@ -1,6 +1,6 @@
 //! Checks which way the exchanges took since the board started: its gateware answers most of them
 //! by itself, in some 20 clocks. One that is not as its firmware expected goes the long way through
-//! the firmware, in some 4200: right, but later.
+//! the firmware, in some 3600: right, but later.
 
 use super::Finding;
 use wire::LongWay;
