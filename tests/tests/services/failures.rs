@@ -189,6 +189,39 @@ fn services_that_ask_the_rom_for_ever_are_ended_between_two_answers() {
     outlives("asks for ever", &program, LATE + LEASH);
 }
 
+/// [`ASKS_FOR_EVER`], behind so many turns of an empty loop.
+fn asks_for_ever_after(turns: u32) -> Vec<u32> {
+    let wait = [
+        0x0000_0293 | turns << 20, // li t0, turns
+        0xfff2_8293,               // 1: addi t0, t0, -1
+        0xfe02_9ee3,               // bnez t0, 1b
+    ];
+    let mut code = ASKS_FOR_EVER.to_vec();
+    code.splice(5..5, wait);
+    code
+}
+
+/// Turns of the empty loop in which the ROM answers once.
+const TURNS: u32 = 36;
+
+/// The interrupt that ends the services may come in any clock of what the ROM does for them: it
+/// keeps all registers.
+#[test]
+fn the_leash_harms_the_rom_in_no_clock_of_what_it_does_for_the_services() {
+    for turns in (1..TURNS).step_by(2) {
+        let mut machine =
+            BenchMachine::boot(setup(&begins_with(&program(), &asks_for_ever_after(turns))));
+        let mut command = moving(&mut machine);
+        let ping = machine.frame(Kind::PingArmed, &mut Pcg64Mcg::seed_from_u64(seed()));
+        machine.inject(ping);
+        for _ in 0..2 {
+            let status = machine.exchange_and_wait(&mut command).state;
+            assert_eq!(status.state, State::Armed, "{turns} turns");
+        }
+        assert_eq!(state(&mut machine), JobsState::Ended, "{turns} turns");
+    }
+}
+
 #[test]
 fn services_that_lost_their_stack_and_trap_end_themselves_and_not_the_motion() {
     let program = small(&program(), &[LOST_STACK, EBREAK]);

@@ -117,8 +117,10 @@ fn bytes(words: &mut [u32], count: usize) -> &mut [u8] {
 //
 // Every trap comes to `services_trap`. One with the guard closed ends the services, and their stack
 // pointer is not used. The leash's interrupt may come while the ROM does what they asked for: it is
-// enabled again by the instruction that returns to them (`services_back`). All others are the ROM's
-// own. A jump to the reset vector with the guard closed is no reset (`__pre_init`).
+// enabled again by the instruction that returns to them (`services_enter`). All others are the
+// ROM's own. This processor has no `mscratch`: `t0` is kept in the mask of interrupts, 0xbc0, which
+// does not count until that return. A jump to the reset vector with the guard closed is no reset
+// (`__pre_init`).
 //
 // A store that the guard keeps back may be in the data cache, which is discarded in `services_end`
 // before anything is read through it. The read of the guard's status waits for the stores before
@@ -172,7 +174,7 @@ global_asm!(
     ".type services_trap, @function",
     ".global services_trap",
     "services_trap:",
-    "    csrw    mscratch, t0",
+    "    csrw    0xbc0, t0",
     "    lui     t0, {page}",
     "    lw      t0, {status}(t0)",
     "    andi    t0, t0, 1",
@@ -181,9 +183,9 @@ global_asm!(
     "    bgez    t0, 1f",
     "    li      t0, 0x80",
     "    csrc    mstatus, t0",
-    "    csrr    t0, mscratch",
+    "    csrr    t0, 0xbc0",
     "    mret",
-    "1:  csrr    t0, mscratch",
+    "1:  csrr    t0, 0xbc0",
     "    j       _start_trap",
     "2:  j       services_end",
     ".section .text.services_enter,\"ax\",@progbits",
@@ -204,6 +206,8 @@ global_asm!(
     "    lui     t0, {page}",
     "    sw      zero, {guard}(t0)",
     "    csrw    mepc, ra",
+    "    lui     t0, {leash}",
+    "    csrw    0xbc0, t0",
     "    li      t0, 0x1880",
     "    csrs    mstatus, t0",
     "    mret",
@@ -223,6 +227,7 @@ global_asm!(
     status = const GUARD_STATUS as i32 - PAGE as i32,
     key = const timebase::GUARD_KEY_OPEN,
     dead = const abi::DEAD,
+    leash = const (1u32 << LEASH_IRQ) >> 12,
 );
 
 /// The guard's registers, and what `lui` makes of their upper bits.
