@@ -6,7 +6,6 @@ use crate::gmii::Sent;
 use crate::lan_segment::Endpoint;
 use wire::etherbone::{FLAG_PROBE, HEADER_WORDS, MAGIC, OVERHEAD, counts};
 use wire::exchange::{StateWord, command_word, status_word};
-use wire::map::{CONFIG, CONFIG_LEN};
 
 /// Where a first record's base write address stands, in words.
 const BASE_AT: usize = OVERHEAD - 1;
@@ -30,12 +29,9 @@ fn is_write(payload: &[u8]) -> bool {
     is_etherbone(payload) && word(payload, HEADER_WORDS).is_some_and(|record| counts(record).0 != 0)
 }
 
-/// The datagram asks for an answer as a host does between two exchanges: it reads only, or what it
-/// writes are settings.
-pub fn is_question(payload: &[u8]) -> bool {
-    let settings = CONFIG..CONFIG + CONFIG_LEN;
-    let writes_settings = || word(payload, BASE_AT).is_some_and(|base| settings.contains(&base));
-    is_etherbone(payload) && wants_reply(payload) && (!is_write(payload) || writes_settings())
+/// The datagram reads, and writes nothing.
+pub fn is_read(payload: &[u8]) -> bool {
+    is_etherbone(payload) && !is_write(payload) && wants_reply(payload)
 }
 
 /// The datagram carries a command block (well-formed or not): an Etherbone write based at the

@@ -9,7 +9,7 @@
 //!
 //! *Lockstep*: simulated time stands still until the host sends an exchange, then advances by
 //! exactly one servo period. So LinuxCNC sees a board with a perfect clock, even on a slow machine.
-//! Other datagrams advance time until their answer is out. Only what the host asks between two
+//! Other datagrams advance time until their answer is out. Only what the host reads between two
 //! exchanges is behind the second one on the wire, where a real host would have sent it: at the end
 //! of a period it would stand in the way of the exchange. A host's first exchange comes a period
 //! behind what it asked before. A host that falls silent in the middle of
@@ -18,7 +18,7 @@
 //!
 //! *Free*: time runs as fast as it can, or paced.
 //!
-//! The only inspection of a datagram is whether it is an exchange, or what a host asks between two.
+//! The only inspection of a datagram is whether it is an exchange, or reads.
 
 mod cable;
 mod device;

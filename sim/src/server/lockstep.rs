@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use super::device::{Device, Service};
 use super::{Event, SLICE, Server};
-use crate::exchange::{is_question, is_request};
+use crate::exchange::{is_read, is_request};
 
 /// How long a host that asked something may take until its next exchange, in the machine's time.
 const NEXT_EXCHANGE: Duration = Duration::from_millis(50);
@@ -68,7 +68,7 @@ impl<D: Device> Server<D> {
             Ok(Event::Datagram(Service::Etherbone, sender, payload))
                 if self.last_exchange.is_some()
                     && self.exchanger == Some(sender)
-                    && is_question(&payload) =>
+                    && is_read(&payload) =>
             {
                 self.asked.push((sender, payload));
             }
