@@ -24,7 +24,7 @@ const KEY: [u32; 4] = [0x5eed_0001, 0x5eed_0002, 0x5eed_0003, 0x5eed_0004];
 const ALICE: u16 = 40_000;
 const MALLORY: u16 = 40_001;
 /// In front of every datagram.
-const PAUSE_MS: u64 = 2;
+const PAUSE_MS: u64 = 4;
 
 fn key() -> Key {
     Key::new(KEY).expect("not all zeros")
@@ -79,8 +79,8 @@ fn ask(rig: &mut Rig, port: u16, writes: &[(u32, &[u32])], reads: &[u32]) -> Opt
     send(rig, port, &to_bytes(request))
 }
 
-/// Sends two milliseconds after the datagram before: while a host owns the session one frame of
-/// others comes in each.
+/// Sends four milliseconds after the datagram before: while a host owns the session one frame of
+/// others comes in with each housekeeping, every three milliseconds if nothing is exchanged.
 fn send(rig: &mut Rig, port: u16, datagram: &[u8]) -> Option<Vec<u32>> {
     rig.run_ms(PAUSE_MS);
     let reply = rig.request((HOST_IP, port), wire::DEFAULT_PORT, datagram)?;
