@@ -12,9 +12,9 @@
 //! Other datagrams advance time until their answer is out. Only what the host reads between two
 //! exchanges is behind the second one on the wire, where a real host would have sent it: at the end
 //! of a period it would stand in the way of the exchange. A host's first exchange comes a period
-//! behind what it asked before. A host that falls silent in the middle of
-//! a session must count as dead: after [`Options::silence`] of the machine's time the board runs on
-//! by itself for [`Options::orphan_clocks`].
+//! behind what it asked before. A host that falls silent in the middle of a session must count as
+//! dead: after [`Options::silence`] of the machine's time the board runs on by itself for
+//! [`Options::orphan_clocks`].
 //!
 //! *Free*: time runs as fast as it can, or paced.
 //!
