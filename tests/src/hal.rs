@@ -2,6 +2,10 @@
 
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// What a session that is ending may take.
+const ENDING: Duration = Duration::from_secs(20);
 
 pub use crate::root;
 
@@ -13,8 +17,26 @@ pub fn out(name: &str) -> PathBuf {
     folder
 }
 
+/// Waits until a session that is ending has ended: LinuxCNC's scripts wait 5 s for it and then go.
+fn nothing_runs() {
+    let until = Instant::now() + ENDING;
+    loop {
+        let listed = Command::new("ps")
+            .args(["-C", "rtapi_app", "-o", "stat="])
+            .output()
+            .expect("ps");
+        let states = String::from_utf8_lossy(&listed.stdout);
+        if states.split_whitespace().all(|it| it.starts_with('Z')) {
+            return;
+        }
+        assert!(Instant::now() < until, "another HAL session is running");
+        std::thread::sleep(Duration::from_millis(100));
+    }
+}
+
 /// Runs a HAL file without LinuxCNC's task; what it said.
 pub fn halrun(name: &str, hal: &str) -> String {
+    nothing_runs();
     let folder = out(name);
     let file = folder.join("test.hal");
     std::fs::write(&file, hal).expect("the HAL file");

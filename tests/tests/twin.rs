@@ -276,12 +276,12 @@ fn four_boards_share_a_servo_thread_and_cost_little_more_than_one() {
     hal += &each("setp ferrocnc.#.stepgen.x.control-type 1");
     hal += &each("setp ferrocnc.#.stepgen.x.enable 1");
     hal += &each("setp ferrocnc.#.enable 1");
+    // One signal, so that all boards hear of it in the same period or the next one.
+    hal += &each("net velocity ferrocnc.#.stepgen.x.velocity-cmd");
     hal += "start\nloadusr -w sleep 1\n";
     hal += &each("setp ferrocnc.#.enable-request 1");
     hal += "loadusr -w sleep 1\n";
-    hal += &each("setp ferrocnc.#.stepgen.x.velocity-cmd 5000");
-    hal += "loadusr -w sleep 2\n";
-    hal += &each("setp ferrocnc.#.stepgen.x.velocity-cmd 0");
+    hal += "sets velocity 5000\nloadusr -w sleep 2\nsets velocity 0\n";
     hal += "loadusr -w sleep 1\n";
     hal += &each("getp ferrocnc.#.enabled");
     hal += &each("getp ferrocnc.#.stepgen.x.counts");
@@ -308,10 +308,11 @@ fn four_boards_share_a_servo_thread_and_cost_little_more_than_one() {
     let (least, most) = (travelled.iter().min(), travelled.iter().max());
     println!("four boards at 5000 steps/s: {travelled:?} steps");
     assert!(least > Some(&500), "they hardly moved: {travelled:?}");
-    // `setp` reaches the boards one after the other: a few periods of 5 steps.
+    // The signal may change between two boards of a servo period, which is two exchanges and 10
+    // steps long; at the start and at the end.
     assert!(
         most.zip(least)
-            .is_some_and(|(most, least)| most - least <= 100),
+            .is_some_and(|(most, least)| most - least <= 20),
         "{travelled:?}"
     );
 

@@ -12,6 +12,8 @@ use std::time::{Duration, Instant};
 
 /// How much of a failed step's log is shown.
 const TAIL_LINES: usize = 30;
+/// Panics of a step that failed that are said again at its end.
+const PANICS: usize = 5;
 
 /// What a command printed, and when it had grown to which length.
 #[derive(Debug, Default)]
@@ -146,8 +148,9 @@ pub fn run_judged(
         say(&format!("  x {title}  ({seconds:.1} s)"));
         say(&indent(&tail(&log)));
         bail!(
-            "{title}: `{program}` failed; the whole log is {}",
-            log.display()
+            "{title}: `{program}` failed; the whole log is {}{}",
+            log.display(),
+            panics(&fs::read(&log).unwrap_or_default())
         );
     }
     say(&format!("  + {title}  ({seconds:.1} s)"));
@@ -173,6 +176,21 @@ pub fn tail(log: &Path) -> String {
         .unwrap_or_default();
     let lines: Vec<_> = text.lines().collect();
     lines[lines.len().saturating_sub(TAIL_LINES)..].join("\n")
+}
+
+/// Where the tests of a log panicked and why, a line each: what a log on a machine out of
+/// reach would have said.
+fn panics(log: &[u8]) -> String {
+    let text = String::from_utf8_lossy(log);
+    let mut lines = text.lines();
+    let panic = |line: &&str| line.starts_with("thread '") && line.contains(" panicked at ");
+    let mut found = Vec::new();
+    while let Some(line) = lines.find(panic) {
+        let why = lines.next().unwrap_or_default();
+        found.push(format!("\n            {line} {why}"));
+    }
+    found.truncate(PANICS);
+    found.concat()
 }
 
 fn spinner(title: &str, expect: &str) -> ProgressBar {
@@ -211,4 +229,22 @@ fn indent(text: &str) -> String {
         .map(|l| format!("    | {l}"))
         .collect::<Vec<_>>()
         .join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_step_that_failed_says_again_where_it_panicked_and_why() {
+        let log =
+            b"test a ... ok\nthread 'b' (1) panicked at b.rs:2:3:\nX stands at 7 steps\nstack\n\
+            thread 'c' panicked at c.rs:1:1:\n";
+        let said = panics(log);
+        let lines: Vec<&str> = said.lines().skip(1).map(str::trim).collect();
+        let first = "thread 'b' (1) panicked at b.rs:2:3: X stands at 7 steps";
+        assert_eq!(lines, [first, "thread 'c' panicked at c.rs:1:1:"]);
+        assert_eq!(panics(b"nothing of the kind\n"), "");
+        assert_eq!(panics(&log.repeat(9)).lines().skip(1).count(), PANICS);
+    }
 }

@@ -62,18 +62,22 @@ class Machine:
         self.errors = linuxcnc.error_channel()
         self.heard = []
 
-    def come_up(self):
-        deadline = time.time() + PATIENCE
-        while time.time() < deadline:
+    def look(self, patience):
+        """LinuxCNC's state. Its buffer cannot be read at every moment, e.g. at the start."""
+        deadline = time.time() + patience
+        while True:
             try:
-                self.stat.poll()
-                return
-            except linuxcnc.error:
-                time.sleep(0.05)
-        raise GiveUp(2, "LinuxCNC's task does not answer")
+                return self.stat.poll()
+            except linuxcnc.error as error:
+                if time.time() > deadline:
+                    raise GiveUp(2, f"LinuxCNC's task does not answer: {error}") from error
+            time.sleep(0.05)
+
+    def come_up(self):
+        self.look(PATIENCE)
 
     def poll(self):
-        self.stat.poll()
+        self.look(PATIENCE / 10)
         while True:
             message = self.errors.poll()
             if not message:

@@ -17,6 +17,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 MODULE = "/usr/lib/linuxcnc/modules/ferrocnc.so"
@@ -27,6 +28,8 @@ LOCK = "/tmp/linuxcnc.lock"
 # HAL's and LinuxCNC's shared memory. What a crash left behind holds a locked mutex and hangs
 # everything after it.
 KEYS = ("0x48414c32", "0x48484c34", "0x00000064")
+# Seconds a session that is ending may take.
+ENDING_S = 20
 
 
 def arguments():
@@ -114,9 +117,12 @@ def alive(name):
 
 def sweep():
     """Removes what a LinuxCNC that crashed left behind; one that runs is left alone and we are not
-    started."""
-    if alive("rtapi_app"):
-        sys.exit("LinuxCNC or another HAL session is running; end it first")
+    started. One that is ending gets its time: LinuxCNC's scripts wait 5 s for it and then go."""
+    until = time.monotonic() + ENDING_S
+    while alive("rtapi_app"):
+        if time.monotonic() > until:
+            sys.exit("LinuxCNC or another HAL session is running; end it first")
+        time.sleep(0.1)
     if os.path.exists(LOCK):
         os.remove(LOCK)
     for key in KEYS:
