@@ -1,6 +1,7 @@
 #!/bin/bash
 # Builds the firmware image, target/firmware/ferrocnc-firmware.elf, and the services of boards
-# with SDRAM, target/firmware/ferrocnc-services.bin, and prints their sizes.
+# with SDRAM: target/firmware/ferrocnc-services.bin for boards with jobs and
+# ferrocnc-services-without-jobs.bin for the others. It prints their sizes.
 #
 #   firmware/build.sh [cargo arguments]
 #   firmware/build.sh clippy    checks them with clippy instead, for the softcore
@@ -28,7 +29,7 @@ verb=build options=("$@")
 if [ "${1:-}" = clippy ]; then
     verb=clippy options=(--lib --bins -- -D warnings)
 fi
-common=("$verb" --manifest-path "$root/Cargo.toml" --package ferrocnc-firmware --features soc
+common=("$verb" --manifest-path "$root/Cargo.toml" --package ferrocnc-firmware
     --profile firmware-image --target "$target" --target-dir "$out")
 
 # defmt logs only errors by default; transitions are `info`, and nothing is logged per period.
@@ -38,9 +39,10 @@ common+=(-Zbuild-std=core -Zbuild-std-features=optimize_for_size)
 # These options are unstable: a released compiler needs this variable to accept them.
 export RUSTC_BOOTSTRAP=1
 
+# `run` is cargo with these options.
 library=$(rustc --print sysroot 2>/dev/null || true)/lib/rustlib/src/rust/library
 if [ -d "$library/core" ]; then
-    RUSTFLAGS="$flags --remap-path-prefix=$library/=" cargo "${common[@]}" "${options[@]}"
+    run() { RUSTFLAGS="$flags --remap-path-prefix=$library/=" cargo "${common[@]}" "$@"; }
 elif [ -x /usr/bin/cargo ] && [ -d /usr/lib/rustlib/src/rust/library ]; then
     # Debian's lld (14) cannot relax, GNU ld can.
     if command -v riscv64-unknown-elf-ld >/dev/null; then
@@ -49,19 +51,33 @@ elif [ -x /usr/bin/cargo ] && [ -d /usr/lib/rustlib/src/rust/library ]; then
         linker=ld.lld
     fi
     # Of rustup's tools and Debian's, `cargo clippy` takes those in front.
-    PATH=/usr/bin:$PATH RUSTC=/usr/bin/rustc CARGO_TARGET_RISCV32IM_UNKNOWN_NONE_ELF_LINKER=$linker \
-        RUSTFLAGS="$flags --remap-path-prefix=/usr/lib/rustlib/src/rust/library/=" \
-        /usr/bin/cargo "${common[@]}" "${options[@]}"
+    run() {
+        PATH=/usr/bin:$PATH RUSTC=/usr/bin/rustc \
+            CARGO_TARGET_RISCV32IM_UNKNOWN_NONE_ELF_LINKER=$linker \
+            RUSTFLAGS="$flags --remap-path-prefix=/usr/lib/rustlib/src/rust/library/=" \
+            /usr/bin/cargo "${common[@]}" "$@"
+    }
 else
     echo "firmware: no sources of Rust's core to build for $target: run 'rustup component add rust-src', or" >&2
     echo "  apt install rustc-web cargo-web rust-web-src binutils-riscv64-unknown-elf" >&2
     exit 1
 fi
-[ "$verb" = build ] || exit 0
+if [ "$verb" = clippy ]; then
+    run --features soc "${options[@]}"
+    exit
+fi
 
-for name in ferrocnc-firmware ferrocnc-services; do
-    built=$out/$target/firmware-image/$name
-    cmp -s "$built" "$out/$name.elf" || cp "$built" "$out/$name.elf"
-done
+# What was built under this name; it keeps its date if it is the same.
+keep() {
+    local built=$out/$target/firmware-image/$1
+    cmp -s "$built" "$out/$2.elf" || cp "$built" "$out/$2.elf"
+}
+run --no-default-features --features soc --bin ferrocnc-services "${options[@]}"
+keep ferrocnc-services ferrocnc-services-without-jobs
+run --features soc "${options[@]}"
+keep ferrocnc-firmware ferrocnc-firmware
+keep ferrocnc-services ferrocnc-services
 "$root/firmware/size.py" "$out/ferrocnc-firmware.elf"
-"$root/firmware/program.py" "$out/ferrocnc-services.elf" "$out/ferrocnc-services.bin"
+for name in ferrocnc-services ferrocnc-services-without-jobs; do
+    "$root/firmware/program.py" "$out/$name.elf" "$out/$name.bin"
+done

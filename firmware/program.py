@@ -60,7 +60,7 @@ def main():
     data = complete(image(elf, origin, room), magic)
     if not out.exists() or out.read_bytes() != data:
         out.write_bytes(data)
-    print(f"services {len(data)} bytes of {room}, with .bss and stack after them")
+    print(f"{out.stem} {len(data)} bytes of {room}, with .bss and stack after them")
 
 
 if __name__ == "__main__":

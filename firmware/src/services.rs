@@ -10,9 +10,9 @@
 //!                                         +--> lease: an address from a DHCP server
 //! ```
 //!
-//! Jobs are there on boards with the segments core. They are in the crate [`jobs`](::jobs), which a
-//! PC can run, too. This module has
-//! what only a board has: TCP without an operating system ([`stack`], [`port`]), the consoles'
+//! Jobs are there on boards with the segments core, and only in the program that is built for them
+//! (feature `jobs`). They are in the crate [`jobs`](::jobs), which a PC can run, too. This module
+//! has what only a board has: TCP without an operating system ([`stack`], [`port`]), the consoles'
 //! commands about jobs, the interface to the ROM ([`abi`]) and the test of the SDRAM ([`memory`]).
 
 pub mod abi;
@@ -76,11 +76,40 @@ pub trait Network: Outside {
 /// UDP ports the program listens at.
 pub const PORTS: UdpPorts = [lease::PORT, wire::mdns::PORT, sntp::PORT, 0, 0, 0, 0, 0];
 
+/// The jobs, where the program is built with them. Without them there is no such value, and the
+/// compiler leaves out all that works with one.
+#[derive(Debug)]
+struct Part<'m> {
+    jobs: Jobs<'m>,
+    #[cfg(not(feature = "jobs"))]
+    never: core::convert::Infallible,
+}
+
+impl<'m> Part<'m> {
+    #[cfg(feature = "jobs")]
+    fn new(memory: &'m mut [u8], program: u32, out: &mut impl Outside) -> Option<Self> {
+        let jobs = Jobs::new(memory, program, out)?;
+        Some(Part { jobs })
+    }
+
+    #[cfg(not(feature = "jobs"))]
+    fn new(_: &'m mut [u8], _: u32, _: &mut impl Outside) -> Option<Self> {
+        None
+    }
+
+    fn jobs(&mut self) -> &mut Jobs<'m> {
+        #[cfg(not(feature = "jobs"))]
+        match self.never {}
+        #[cfg(feature = "jobs")]
+        &mut self.jobs
+    }
+}
+
 /// The program.
 #[derive(Debug)]
 pub struct Program<'m> {
     /// Not on boards without the segments core.
-    jobs: Option<Jobs<'m>>,
+    part: Option<Part<'m>>,
     port: Port<'m>,
 }
 
@@ -106,33 +135,33 @@ impl<'m> Program<'m> {
         out: &mut impl Network,
     ) -> Option<Self> {
         let (_, board) = Inside::new(out)?;
-        let jobs = Jobs::new(memory, program, out);
-        let port = Port::new(place, log, jobs.is_some(), &board, out);
-        Some(Program { jobs, port })
+        let part = Part::new(memory, program, out);
+        let port = Port::new(place, log, part.is_some(), &board, out);
+        Some(Program { part, port })
     }
 
     /// The executor, on boards with jobs.
     pub fn executor(&self) -> Option<&Executor> {
-        self.jobs.as_ref().map(Jobs::executor)
+        self.part.as_ref().map(|part| part.jobs.executor())
     }
 
     /// Takes a frame of [`crate::net::Class::Services`].
     pub fn frame(&mut self, frame: &[u8], out: &mut impl Network) {
-        self.port.frame(self.jobs.as_mut(), frame, out);
+        self.port
+            .frame(self.part.as_mut().map(Part::jobs), frame, out);
     }
 
     /// A client is there, over a connection that is not this program's: the simulator has its own
     /// sockets.
     pub fn visit(&mut self, out: &mut impl Outside) {
-        if let Some(jobs) = &mut self.jobs {
+        if let Some(jobs) = self.jobs() {
             jobs.visit(out);
         }
     }
 
     /// Takes bytes of that connection: [`Jobs::said`].
     pub fn said(&mut self, bytes: &[u8], answer: &mut Text, out: &mut impl Outside) -> usize {
-        let jobs = self.jobs.as_mut();
-        jobs.map_or(0, |jobs| jobs.said(bytes, answer, out))
+        self.jobs().map_or(0, |jobs| jobs.said(bytes, answer, out))
     }
 
     /// Takes bytes of another connection while there is one: [`Jobs::busy_reply`].
@@ -143,19 +172,19 @@ impl<'m> Program<'m> {
         answer: &mut Text,
         out: &mut impl Outside,
     ) -> usize {
-        let jobs = self.jobs.as_mut();
-        jobs.map_or(0, |jobs| jobs.busy_reply(busy, bytes, answer, out))
+        self.jobs()
+            .map_or(0, |jobs| jobs.busy_reply(busy, bytes, answer, out))
     }
 
     /// The jobs, on boards that have them.
     pub fn jobs(&mut self) -> Option<&mut Jobs<'m>> {
-        self.jobs.as_mut()
+        self.part.as_mut().map(Part::jobs)
     }
 
     /// Does a piece of work: a segment, a frame, a block of a job. True while there is more work.
     pub fn poll(&mut self, out: &mut impl Network) -> bool {
-        let Program { jobs, port } = self;
-        let works = match jobs {
+        let Program { part, port } = self;
+        let works = match part.as_mut().map(Part::jobs) {
             Some(jobs) => {
                 jobs.poll_beside(out, |jobs, _, now, out| port.turn(Some(jobs), now, out))
             }

@@ -321,7 +321,9 @@ class Design:
         return self._services() if self.board.sdram else b""
 
     def _services(self):
-        path = Path(self.options.firmware).with_name("ferrocnc-services.bin")
+        """Jobs are a part of them on boards that have jobs."""
+        name = "ferrocnc-services.bin" if self.board.jobs else "ferrocnc-services-without-jobs.bin"
+        path = Path(self.options.firmware).with_name(name)
         try:
             return path.read_bytes()
         except OSError as e:

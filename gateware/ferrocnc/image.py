@@ -7,7 +7,8 @@ is flashed and updated with.
     NAME.flash       the complete contents of a new board's flash: `ferrocnc flash write`
 
 The services of a board with SDRAM follow the bitstream in all files but the SVF; the length and the
-CRC of an image include them.
+CRC of an image include them. A golden image for a flash of 2 MiB has none: its place is two thirds
+of a slot, and what it is for (exchange, Etherbone, discovery, update, ARP, ping) is in the ROM.
 
 Nothing in them depends on the date, the folder or the machine. `wire::flash`, `wire::images` and
 `host::image` define the meaning of the bytes, and parse these files in the test level `bitstream`.
@@ -29,8 +30,10 @@ _STUBS = 0
 # Flash size: slot A, golden (first byte, byte after the last).
 _LAYOUTS = {
     0x40_0000: ((0x01_0000, 0x10_0000), (0x30_0000, 0x3F_F000)),
-    0x20_0000: ((0x01_0000, 0x09_0000), (0x18_0000, 0x1F_F000)),
+    0x20_0000: ((0x01_0000, 0x0C_0000), (0x18_0000, 0x1F_F000)),
 }
+# Flash size: the golden image has the services, too.
+_GOLDEN_SERVES = {0x40_0000: True, 0x20_0000: False}
 FILES = (".bit", "-golden.bit", ".svf", ".flash")
 _ROLES = {rm.ROLE_IMAGE: "", rm.ROLE_GOLDEN: "-golden"}
 
@@ -49,8 +52,9 @@ def pack(board, work, routed, firmware, out, program=b""):
         _memories(board, work, routed, firmware, build, role, f"{name}.config")
         svf = ["--svf", f"{name}.svf"] if role == rm.ROLE_IMAGE else []
         tools.run("ecppack", ["--compress", *svf, f"{name}.config", f"{name}.bit"], work, "ecppack.log")
-        images[role] = with_program(body((work / f"{name}.bit").read_bytes()), program)
-        check_room(board, role, images[role], program)
+        services = program_of(board, role, program)
+        images[role] = with_program(body((work / f"{name}.bit").read_bytes()), services)
+        check_room(board, role, images[role], services)
     for role, suffix in _ROLES.items():
         _write(out / f"{board.name}{suffix}.bit", header(board, part, build, images[role]) + images[role])
     _write(out / f"{board.name}.svf", (work / "packed.svf").read_bytes())
@@ -160,6 +164,11 @@ def with_program(data, program):
     return data + b"\xff" * (-len(data) % 4) + program if program else data
 
 
+def program_of(board, role, program):
+    """The services in the image of this role."""
+    return program if role == rm.ROLE_IMAGE or _GOLDEN_SERVES[board.platform.flash["bytes"]] else b""
+
+
 def idcode(data):
     """The FPGA's id in the bitstream."""
     at = data.index(_VERIFY_ID) + len(_VERIFY_ID)
@@ -243,8 +252,9 @@ def prove(board, work, routed, firmware, out, program=b""):
     build = None
     for role, suffix in _ROLES.items():
         name = f"{board.name}{suffix}.bit"
-        (work / "unpack.bit").write_bytes(before[name].removesuffix(program))
-        if not before[name].endswith(program):
+        services = program_of(board, role, program)
+        (work / "unpack.bit").write_bytes(before[name].removesuffix(services))
+        if not before[name].endswith(services):
             raise ValueError(f"{name}: does not end with the services")
         tools.run("ecpunpack", ["unpack.bit", "unpacked.config"], work, "ecpunpack.log")
         found, blob = contents(said, (work / "unpacked.config").read_text())
@@ -282,8 +292,9 @@ def prove_services(board, work, routed, firmware, out, program):
         name = f"{board.name}{suffix}.bit"
         found = body((folder / name).read_bytes())
         bitstream = body((scratch / f"packed{suffix}.bit").read_bytes())
-        _same(name, "the bitstream and the services", found, with_program(bitstream, program))
-        yield f"{name}: packed with the services, {len(found)} of {room(board, role)} bytes"
+        services = program_of(board, role, program)
+        _same(name, "the bitstream and the services", found, with_program(bitstream, services))
+        yield f"{name}: packed with {len(services)} bytes of services, {len(found)} of {room(board, role)} bytes"
     shutil.rmtree(scratch)
 
 

@@ -46,10 +46,18 @@ pub fn with_program(image: &[u8], program: &[u8]) -> Vec<u8> {
     image
 }
 
-/// What the build left for the SDRAM.
+/// What the build left for the SDRAM of a board with jobs.
 pub fn program() -> Vec<u8> {
-    let (_, firmware) = crate::parts();
-    let path = firmware.with_file_name("ferrocnc-services.bin");
+    built("ferrocnc-services.bin")
+}
+
+/// What it left for a board without.
+pub fn program_without_jobs() -> Vec<u8> {
+    built("ferrocnc-services-without-jobs.bin")
+}
+
+fn built(name: &str) -> Vec<u8> {
+    let path = crate::parts().1.with_file_name(name);
     std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
@@ -98,7 +106,7 @@ pub fn factory(part: Part, uid: u64) -> Nor {
 
 /// The same with the services after the image in slot A.
 pub fn with_services(part: Part, uid: u64) -> Nor {
-    followed_by(part, uid, &program())
+    followed_by(part, uid, &program_without_jobs())
 }
 
 /// The same with this program after the image in slot A.

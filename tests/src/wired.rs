@@ -8,7 +8,7 @@
 //! The board's time passes while the client does something, and when a test says so; otherwise it
 //! stands still.
 
-pub use crate::flash::program;
+pub use crate::flash::{program, program_without_jobs};
 use crate::pins::{Event, Pin};
 
 use crate::{BenchMachine, flash, parts};
@@ -56,7 +56,7 @@ pub fn setup(behind: &[u8]) -> Setup {
 /// The board of most tests with the services in its flash. To load them takes half a minute of a
 /// core, so most tests do without.
 pub fn mill() -> Setup {
-    let mut setup = setup(&program());
+    let mut setup = setup(&program_without_jobs());
     (setup.soc_dir, _) = parts();
     setup
 }

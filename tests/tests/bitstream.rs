@@ -106,7 +106,7 @@ fn the_flash_image_is_byte_for_byte_what_the_host_would_make_of_the_two() {
 #[test]
 fn an_image_with_services_fits_its_places_and_the_host_takes_it_apart() {
     let (bare, files) = (files(), with_services());
-    let program = wired::program();
+    let program = wired::program_without_jobs();
     let (image, golden) = images(&files);
     let flash = FlashFile::parse(files.flash.clone()).unwrap_or_else(|e| panic!("refused: {e}"));
     let layout = flash.layout;

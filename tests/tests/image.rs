@@ -136,7 +136,7 @@ fn longest(code: &Code, entry: &str) -> Deepest {
     way
 }
 
-/// The services that go with the image.
+/// The services that go with the image, with jobs.
 fn services() -> PathBuf {
     parts().1.with_file_name("ferrocnc-services.elf")
 }
@@ -171,14 +171,16 @@ fn the_stack_holds_the_longest_way_through_the_image_and_a_trap_at_its_end() {
 
 #[test]
 fn the_services_stack_holds_its_longest_way_what_it_calls_back_and_a_trap() {
-    let (image, code) = (Code::read(&parts().1), Code::read(&services()));
-    let run = longest(&code, "services_main");
+    let image = Code::read(&parts().1);
     let back = CALLED_BACK.map(|entry| longest(&image, entry).bytes);
     let trap = longest(&image, "services_trap");
-    fits(
-        &code,
-        run.bytes + back.into_iter().max().unwrap_or(0) + trap.bytes,
-    );
+    let without_jobs = services().with_file_name("ferrocnc-services-without-jobs.elf");
+    for program in [services(), without_jobs] {
+        let code = Code::read(&program);
+        let run = longest(&code, "services_main");
+        let most = run.bytes + back.into_iter().max().unwrap_or(0) + trap.bytes;
+        fits(&code, most);
+    }
 }
 
 #[test]

@@ -4,10 +4,11 @@
 //! ```text
 //!               4 MiB                     2 MiB
 //! stubs         0x000000, 0x001000        same                   which slot loads (`images::Stub`)
-//! slot A        0x010000..0x100000        0x010000..0x090000     an image, its meta page in the last sector
-//! slot B        0x100000..0x1f0000        0x090000..0x110000     the same
-//! settings      0x1f0000, 0x1f1000        0x110000, 0x111000     two copies, a sector each
-//! golden        0x300000..0x3ff000        0x180000..0x1ff000     as a slot; protected by the flash, too
+//! slot A        0x010000..0x100000        0x010000..0x0c0000     an image, its meta page in the last sector
+//! slot B        0x100000..0x1f0000        0x0c0000..0x170000     the same
+//! settings      0x1f0000, 0x1f1000        0x170000, 0x171000     two copies, a sector each
+//! golden        0x300000..0x3ff000        0x180000..0x1ff000     as a slot; protected by the flash, too;
+//!                                                                without the services in 2 MiB
 //! jump page     the last 256 bytes                               to golden, when nothing at 0 loads
 //! ```
 //!
@@ -290,13 +291,13 @@ impl Layout {
                 size,
                 slot_a: Area {
                     start: 0x01_0000,
-                    end: 0x09_0000,
+                    end: 0x0c_0000,
                 },
                 slot_b: Area {
-                    start: 0x09_0000,
-                    end: 0x11_0000,
+                    start: 0x0c_0000,
+                    end: 0x17_0000,
                 },
-                settings: 0x11_0000,
+                settings: 0x17_0000,
                 golden: Area {
                     start: 0x18_0000,
                     end: 0x1f_f000,

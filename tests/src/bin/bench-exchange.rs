@@ -36,13 +36,17 @@ fn main() -> Result<()> {
     machine.run_millis(100);
     let stack = machine.stack_used();
     let services = wired::program().len();
+    let without_jobs = wired::program_without_jobs().len();
     let image = image_sizes(&parts().1)?;
     println!(
-        "image: text {} data {} bss {} stack {stack}, services {services} bytes",
+        "image: text {} data {} bss {} stack {stack}, services {services} bytes, {without_jobs} without jobs",
         image.text, image.data, image.bss
     );
     let mut report = mill.report();
-    report["image"] = json!({ "text": image.text, "data": image.data, "bss": image.bss, "stack_max": stack, "services": services });
+    report["image"] = json!({
+        "text": image.text, "data": image.data, "bss": image.bss, "stack_max": stack,
+        "services": services, "services_without_jobs": without_jobs,
+    });
 
     if let Some(largest) = options.largest {
         let mut setup = wired::mill();

@@ -154,6 +154,35 @@ fn an_sdram_that_dies_while_the_machine_moves_ends_the_services_and_not_the_moti
     }
 }
 
+/// Words of the header, and the two words by which the ROM finds a program.
+fn found_by(program: &[u8]) -> Vec<u32> {
+    let words: Vec<u32> = { program.as_chunks::<4>().0.iter() }
+        .map(|word| u32::from_le_bytes(*word))
+        .collect();
+    [&words[..9], &words[words.len() - 2..]].concat()
+}
+
+/// What is summed is what the SDRAM has kept, and not what came from the flash.
+#[test]
+fn a_line_that_is_low_wherever_the_header_is_low_too_starts_no_program() {
+    let (good, line) = (1..)
+        .find_map(|times| {
+            let good = small(&program(), &vec![EBREAK; times]);
+            let set = found_by(&good).iter().fold(0, |set, word| set | word);
+            (set != u32::MAX).then(|| (good, set.trailing_ones()))
+        })
+        .expect("a line");
+    let mut setup = setup(&good);
+    setup.shorted = SdramLines {
+        data: 1 << line,
+        high: 0,
+        row: 0,
+    };
+    let mut machine = BenchMachine::boot(setup);
+    assert_eq!(state(&mut machine), JobsState::Damaged, "line {line}");
+    answers_without_services(&mut machine, "a line that is low");
+}
+
 #[test]
 fn a_board_whose_sdram_is_dead_when_it_starts_does_all_that_needs_none_and_takes_an_update() {
     let lines = |data, high| SdramLines { data, high, row: 0 };

@@ -20,16 +20,18 @@ const START: u32 = 60_000;
 /// The beginning of the SDRAM.
 struct Room([u32; abi::ROOM / 4]);
 
-/// Bytes of a piece: less time to read and to sum it than for a guest's frame.
+/// Bytes of a piece: less time to read or to sum it than for a guest's frame.
 const PIECE: usize = 256;
 
-/// Copies and checks the program, a piece at a time.
+/// Copies the program, a piece at a time, and then sums what the SDRAM has kept of it. Later,
+/// because a word that has just been written may be read from the data cache.
 pub struct Loader {
     /// The program's first byte in the flash.
     from: u32,
     /// Its length in bytes; 0 before the first piece.
     length: usize,
-    done: usize,
+    copied: usize,
+    summed: usize,
     check: abi::Check,
     patrol: abi::Patrol,
 }
@@ -40,7 +42,8 @@ impl Loader {
         Loader {
             from: 0,
             length: 0,
-            done: 0,
+            copied: 0,
+            summed: 0,
             check: abi::Check::new(),
             patrol: abi::Patrol::new(),
         }
@@ -58,16 +61,15 @@ impl Loader {
         if self.length == 0 {
             return self.begin(machine, room).err().map(Err);
         }
-        let count = PIECE.min(self.length - self.done);
-        let words = room.0.get_mut(self.done / 4..).unwrap_or(&mut []);
-        let words = words.get_mut(..count / 4).unwrap_or(&mut []);
-        let at = self.from.wrapping_add(self.done as u32);
-        let check = &mut self.check;
-        let spi = machine.board.spi();
-        spi.stream(at, words, |word| check.add(&[word]));
-        self.done += count;
-        self.patrol.loaded(&room.0, self.done / 4, &self.check);
-        if self.done < self.length {
+        if self.copied < self.length {
+            let at = self.from.wrapping_add(self.copied as u32);
+            let words = piece(room, &mut self.copied, self.length);
+            machine.board.spi().stream(at, words);
+            return None;
+        }
+        self.check.add(piece(room, &mut self.summed, self.length));
+        self.patrol.loaded(&room.0, self.summed / 4, &self.check);
+        if self.summed < self.length {
             return None;
         }
         Some(match self.check.verdict(&room.0, ABI) {
@@ -101,6 +103,14 @@ impl Loader {
         self.from = end.wrapping_sub(self.length as u32);
         Ok(())
     }
+}
+
+/// The next piece of a program of this length, of which so many bytes are done.
+fn piece<'r>(room: &'r mut Room, done: &mut usize, length: usize) -> &'r mut [u32] {
+    let count = PIECE.min(length - *done);
+    let words = room.0.get_mut(*done / 4..).unwrap_or(&mut []);
+    *done += count;
+    words.get_mut(..count / 4).unwrap_or(&mut [])
 }
 
 /// The first bytes of these words.
