@@ -76,18 +76,30 @@ fn guests_come(machine: &mut BenchMachine, lines: &[&str]) {
     }
 }
 
-/// Servo periods of a reader of the page, and readers one of which is heard.
+/// Servo periods of a reader of a page that says busy, of one of the whole page, and readers one of
+/// which is heard.
 const PERIODS: usize = 40;
+const PERIODS_AT_REST: usize = 400;
 const READERS: usize = 4;
 
-/// A reader asks a machine that moves for its page; what it hears.
-fn asks_for_the_page(machine: &mut BenchMachine, command: &mut Command) -> String {
+/// A reader asks for the page while its owner exchanges, for so many periods or until it has heard
+/// what is `enough`; what it heard.
+fn asks_for_the_page(
+    machine: &mut BenchMachine,
+    command: &mut Command,
+    periods: usize,
+    enough: impl Fn(&[u8]) -> bool,
+) -> String {
     const ASK: &str = "GET /status.json HTTP/1.0\r\n\r\n";
+    let wanted = match command.enable_request {
+        true => State::Armed,
+        false => State::Disarmed,
+    };
     let reader = machine.rig().segment.connect(wire::PAGE_PORT);
     let (mut heard, mut connected, mut asked) = (Vec::new(), false, false);
-    for period in 0..PERIODS {
+    for period in 0..periods {
         let status = machine.exchange_and_wait(command).state;
-        assert_eq!(status.state, State::Armed, "period {period}");
+        assert_eq!(status.state, wanted, "period {period}");
         assert_eq!(status.services, JobsState::Alive, "period {period}");
         let segment = &mut machine.rig().segment;
         // The board takes one frame of a guest in a period. The last of the handshake is one, and a
@@ -97,6 +109,10 @@ fn asks_for_the_page(machine: &mut BenchMachine, command: &mut Command) -> Strin
         }
         connected = segment.established(reader);
         heard.extend(segment.recv(reader));
+        if enough(&heard) {
+            println!("heard enough after {period} periods");
+            break;
+        }
     }
     machine.rig().segment.close(reader);
     machine.exchange_and_wait(command);
@@ -113,8 +129,22 @@ fn the_status_page_is_read_at_rest_and_is_busy_while_the_machine_moves() {
     let json: serde_json::Value = serde_json::from_str(&status).expect("JSON");
     assert_eq!(json["machine"]["state"], "disarmed", "{json}");
     assert!(text.trim_end().ends_with("</script>"), "{text}");
-    // A host owns the machine, which is at rest.
+    // A host owns the machine, which is at rest: its exchanges go on, and so does the page.
     machine.acquire();
+    let mut command = machine.enabled_command();
+    command.enable_request = false;
+    let parsed = |heard: &[u8]| {
+        let body = heard.windows(4).position(|end| end == b"\r\n\r\n");
+        let json = body.map(|at| serde_json::from_slice::<serde_json::Value>(&heard[at + 4..]));
+        json.and_then(Result::ok)
+    };
+    let heard = (0..READERS).find_map(|_| {
+        let complete = |heard: &[u8]| parsed(heard).is_some();
+        let heard = asks_for_the_page(&mut machine, &mut command, PERIODS_AT_REST, complete);
+        parsed(heard.as_bytes())
+    });
+    let json = heard.expect("the whole page beside an owner");
+    assert_eq!(json["machine"]["state"], "disarmed", "{json}");
     guests_come(&mut machine, &LINES);
     let [at_all, at_rest] = machine.longest_calls();
     assert_eq!(at_all, 0, "no call of a machine that moves");
@@ -124,7 +154,7 @@ fn the_status_page_is_read_at_rest_and_is_busy_while_the_machine_moves() {
     let mut heard = String::new();
     // A frame of a guest that comes behind a turn is refused, and would come again a second later.
     for _ in 0..READERS {
-        heard = asks_for_the_page(&mut machine, &mut command);
+        heard = asks_for_the_page(&mut machine, &mut command, PERIODS, |_| false);
         if !heard.is_empty() {
             break;
         }
