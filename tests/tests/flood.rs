@@ -57,6 +57,8 @@ fn moving() -> (BenchMachine, Command) {
 /// The same with three axes, at a board that executes jobs, too.
 fn moving_with_jobs() -> (BenchMachine, Command) {
     let mut machine = BenchMachine::boot(setup(&program()));
+    // The services are called when 10 ms have passed, so that there is a call at rest.
+    machine.run_millis(20);
     machine.make_ready();
     set_moving(machine)
 }
