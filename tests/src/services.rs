@@ -61,11 +61,22 @@ pub fn begins_with(program: &[u8], code: &[u32]) -> Vec<u8> {
     sealed(bytes)
 }
 
+/// The program in words.
+fn words(program: &[u8]) -> Vec<u32> {
+    let (words, _) = program.as_chunks();
+    words.iter().map(|word| u32::from_le_bytes(*word)).collect()
+}
+
+/// What the ROM judges a program by, besides its sum: the words of its header, and the two at its
+/// end by which it is found.
+pub fn judged_by(program: &[u8]) -> Vec<u32> {
+    let words = words(program);
+    [&words[..HEADER], &words[words.len() - 2..]].concat()
+}
+
 /// The words after a change, with a corrected CRC.
 pub fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
-    let (words, _) = bytes.as_chunks();
-    let words: Vec<u32> = words.iter().map(|word| u32::from_le_bytes(*word)).collect();
-    let crc = crc32_words(&words[1..]);
+    let crc = crc32_words(&words(&bytes)[1..]);
     bytes[..4].copy_from_slice(&crc.to_le_bytes());
     bytes
 }

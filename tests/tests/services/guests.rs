@@ -53,11 +53,9 @@ fn three_clients_have_a_console_at_once() {
 const BEHIND_A_CALL: u64 = LONGEST_AT_REST as u64 + LATE;
 
 /// Guests look at the consoles and send every kind of frame while an owner's machine is at rest.
-fn guests_come(machine: &mut BenchMachine, lines: &[&str]) {
+fn guests_come(machine: &mut BenchMachine, command: &mut Command, lines: &[&str]) {
     let mut rng = Pcg64Mcg::seed_from_u64(seed());
-    let mut command = machine.enabled_command();
-    command.enable_request = false;
-    for (line, cost) in machine.console_costs(&mut command, lines) {
+    for (line, cost) in machine.console_costs(command, lines) {
         assert!(
             cost.is_some_and(|cost| cost <= BEHIND_A_CALL),
             "{line}: {cost:?}"
@@ -67,12 +65,12 @@ fn guests_come(machine: &mut BenchMachine, lines: &[&str]) {
     let kinds = KINDS.into_iter();
     for kind in kinds.filter(|kind| ![Kind::Tcp, Kind::TcpArmed, Kind::Mix].contains(kind)) {
         let wire = machine.frame(kind, &mut rng);
-        let answer = machine.period_with(&mut command, &[wire], 1);
+        let answer = machine.period_with(command, &[wire], 1);
         let answer = answer.unwrap_or_else(|| panic!("{kind:?}: no answer"));
         assert!(answer.turnaround <= BEHIND_A_CALL, "{kind:?}: {answer:?}");
         // A ticket for the next one, and turns for what it left.
-        machine.period_with(&mut command, &[], 0);
-        machine.period_with(&mut command, &[], 0);
+        machine.period_with(command, &[], 0);
+        machine.period_with(command, &[], 0);
     }
 }
 
@@ -145,7 +143,7 @@ fn the_status_page_is_read_at_rest_and_is_busy_while_the_machine_moves() {
     });
     let json = heard.expect("the whole page beside an owner");
     assert_eq!(json["machine"]["state"], "disarmed", "{json}");
-    guests_come(&mut machine, &LINES);
+    guests_come(&mut machine, &mut command, &LINES);
     let [at_all, at_rest] = machine.longest_calls();
     assert_eq!(at_all, 0, "no call of a machine that moves");
     machine.release();

@@ -1,7 +1,7 @@
 //! Their SDRAM turns bits over, dies while the machine moves, or is dead when the board starts.
 
 use ferrocnc_tests::flood::Kind;
-use ferrocnc_tests::services::{Part, small};
+use ferrocnc_tests::services::{Part, judged_by, small};
 use ferrocnc_tests::wired::{golden, program, setup};
 use ferrocnc_tests::{BenchMachine, report_part, seed};
 use rand::SeedableRng;
@@ -154,21 +154,13 @@ fn an_sdram_that_dies_while_the_machine_moves_ends_the_services_and_not_the_moti
     }
 }
 
-/// Words of the header, and the two words by which the ROM finds a program.
-fn found_by(program: &[u8]) -> Vec<u32> {
-    let words: Vec<u32> = { program.as_chunks::<4>().0.iter() }
-        .map(|word| u32::from_le_bytes(*word))
-        .collect();
-    [&words[..9], &words[words.len() - 2..]].concat()
-}
-
 /// What is summed is what the SDRAM has kept, and not what came from the flash.
 #[test]
 fn a_line_that_is_low_wherever_the_header_is_low_too_starts_no_program() {
     let (good, line) = (1..)
         .find_map(|times| {
             let good = small(&program(), &vec![EBREAK; times]);
-            let set = found_by(&good).iter().fold(0, |set, word| set | word);
+            let set = judged_by(&good).iter().fold(0, |set, word| set | word);
             (set != u32::MAX).then(|| (good, set.trailing_ones()))
         })
         .expect("a line");

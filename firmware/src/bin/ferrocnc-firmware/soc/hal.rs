@@ -62,20 +62,8 @@ impl FlashSpi {
     fn shift(&mut self, bits: u32, word: u32) -> u32 {
         // SAFETY: 8 or 32.
         self.0.length().write(|w| unsafe { w.bits(bits) });
-        self.begin(word);
-        self.end()
-    }
-
-    /// Begins to shift out the upper bits of a word, as many as the last time.
-    #[inline]
-    fn begin(&mut self, word: u32) {
         // SAFETY: any word.
         self.0.data().write(|w| unsafe { w.bits(word) });
-    }
-
-    /// Waits for the end of a transfer; the received bits.
-    #[inline]
-    fn end(&mut self) -> u32 {
         while self.0.status().read().busy().bit() {}
         self.0.data().read().bits()
     }
