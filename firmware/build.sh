@@ -63,6 +63,7 @@ else
     exit 1
 fi
 if [ "$verb" = clippy ]; then
+    run --no-default-features --features soc "${options[@]}"
     run --features soc "${options[@]}"
     exit
 fi

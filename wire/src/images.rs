@@ -17,8 +17,8 @@
 //! is disabled by clearing that byte. Each of the two is one byte, so after an interruption a stub
 //! is either live or not, never anything else.
 //!
-//! **Jobs program**, after the bitstream of a board with jobs. Its last two words are the last ones
-//! of the image: its length in bytes and [`PROGRAM_MAGIC`], each lowest byte first
+//! **Services**, after the bitstream of a board with SDRAM. Their last two words are the last ones
+//! of the image: their length in bytes and [`PROGRAM_MAGIC`], each lowest byte first
 //! ([`program_length`]). The FPGA does not read that far.
 //!
 //! **Trailer**, the last four words of the firmware's ROM ([`Trailer`]): the id of this build.
@@ -38,10 +38,10 @@ pub const META_BYTES: usize = META_WORDS * 4;
 
 /// "FJOB".
 pub const PROGRAM_MAGIC: u32 = 0x424f_4a46;
-/// Longest jobs program: 512 KiB, the part of the SDRAM for it.
+/// Longest services: 512 KiB, the part of the SDRAM for it.
 pub const PROGRAM_MAX: usize = 512 * 1024;
 
-/// Bytes of the jobs program at the end of an image, from the image's last two words; `None` if
+/// Bytes of the services at the end of an image, from the image's last two words; `None` if
 /// there is none.
 pub const fn program_length(last: [u32; 2]) -> Option<usize> {
     let [length, magic] = last;

@@ -50,11 +50,18 @@ fn sdram(facts: &Facts) -> Finding {
             "it does not keep what is written into it: a solder joint, a shorted line, a bad chip",
             "reflow the SDRAM's pins and look for bridges; with `sdram = false` in the board file the board works without it",
         ),
-        state @ (JobsState::Missing | JobsState::Damaged | JobsState::Foreign) => Finding::note(
+        // The services test it, and these were not started.
+        state @ (JobsState::Missing | JobsState::Foreign) => Finding::note(
             check,
-            format!("passed its test at start; services: {}", state.text()),
+            format!("not tested; services: {}", state.text()),
             "the flash has no complete services of this build",
             "`ferrocnc update` with this board's .bit",
+        ),
+        state @ JobsState::Damaged => Finding::note(
+            check,
+            format!("not tested; services: {}", state.text()),
+            "the flash has other services than were written, or the SDRAM does not keep them",
+            "`ferrocnc update` with this board's .bit; if that changes nothing, `ferrocnc flash verify` tells which of the two",
         ),
         JobsState::Loading => Finding::note(
             check,

@@ -143,7 +143,10 @@ fn services(features: u32) -> (JobsState, String) {
             "the machine goes on without them; `ferrocnc log` says where; restart the board"
         }
         JobsState::Loading => "it goes on whenever no host owns the board",
-        JobsState::Damaged | JobsState::Foreign => "`ferrocnc update` with this board's .bit",
+        JobsState::Damaged => {
+            "`ferrocnc update` with this board's .bit; if that changes nothing, the SDRAM is faulty"
+        }
+        JobsState::Foreign => "`ferrocnc update` with this board's .bit",
     };
     (state, format!("{}: {remedy}", state.text()))
 }

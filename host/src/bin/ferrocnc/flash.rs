@@ -90,9 +90,13 @@ fn load(file: &Path, loader: &Loader, bar: &mut Bar) -> Result<String> {
         let _ = std::fs::remove_file(&alone);
         loaded?;
     }
-    let jobs = if program == 0 { "" } else { ", without jobs" };
+    let without = if program == 0 {
+        ""
+    } else {
+        ", without the services"
+    };
     Ok(format!(
-        "loaded: {image}. It runs until power-off{jobs}; then the board loads from its flash again"
+        "loaded: {image}. It runs until power-off{without}; then the board loads from its flash again"
     ))
 }
 
