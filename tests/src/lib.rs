@@ -152,6 +152,13 @@ pub fn to_words(bytes: &[u8]) -> Vec<u32> {
         .collect()
 }
 
+/// What was asked while the services started is answered when they have; otherwise the next request
+/// would take that for its answer.
+pub fn take_late_answers(rig: &mut Rig, millis: u64) {
+    rig.run_ms(millis);
+    rig.take_datagrams();
+}
+
 /// Lets a board load its services, if it has some: it does while no host owns it.
 pub fn wait_for_services(rig: &mut Rig) {
     let loading = |rig: &mut Rig| {
@@ -180,9 +187,7 @@ impl BenchMachine {
         let image = Image::read(&firmware, rig.board.silicon().rom_words())
             .unwrap_or_else(|error| panic!("{error}"));
         wait_for_services(&mut rig);
-        // What was asked while they started is answered late.
-        rig.run_ms(2);
-        rig.take_datagrams();
+        take_late_answers(&mut rig, 2);
         let describe = description(&mut rig);
         BenchMachine {
             rig,

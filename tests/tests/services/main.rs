@@ -8,10 +8,9 @@
 //! To load the services takes longer than anything else here. Where only the ROM's part counts a
 //! small program is in their place ([`ferrocnc_tests::services::small`]).
 
-use ferrocnc_tests::BenchMachine;
+use ferrocnc_tests::{BenchMachine, take_late_answers};
 use wire::describe::{self, FEATURES_AT, JobsState};
 use wire::exchange::Command;
-use wire::map;
 use wire::units::{Accel, Velocity};
 
 mod failures;
@@ -33,9 +32,21 @@ const EBREAK: u32 = 0x0010_0073;
 
 /// While the services start, which is one call of some milliseconds, a read has no answer.
 fn state(machine: &mut BenchMachine) -> JobsState {
+    let states = (0..20).find_map(|_| asked(machine));
+    states.expect("the board answers")
+}
+
+/// Longer than the services start.
+const STARTING_MS: u64 = 8;
+
+/// What it says, if it answers. If it does not, its answer comes late.
+fn asked(machine: &mut BenchMachine) -> Option<JobsState> {
     let rig = machine.rig();
-    let word = (0..20).find_map(|_| rig.read_word(map::DESCRIBE + 9 * 4));
-    JobsState::of(word.expect("the board answers"))
+    let features = rig.read_word(describe::address(FEATURES_AT));
+    if features.is_none() {
+        take_late_answers(rig, STARTING_MS);
+    }
+    features.map(JobsState::of)
 }
 
 fn moving(machine: &mut BenchMachine) -> Command {
@@ -55,7 +66,6 @@ fn moving(machine: &mut BenchMachine) -> Command {
 fn becomes(machine: &mut BenchMachine, wanted: JobsState, millis: u64) -> bool {
     (0..millis / 5).any(|_| {
         machine.run_millis(5);
-        let features = machine.rig().read_word(describe::address(FEATURES_AT));
-        features.map(JobsState::of) == Some(wanted)
+        asked(machine) == Some(wanted)
     })
 }
