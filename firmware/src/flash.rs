@@ -233,7 +233,8 @@ impl Flash {
         Ok(())
     }
 
-    /// Where the running image begins, and its length; `None` if it was loaded by JTAG.
+    /// Where the running image begins, and its length; `None` if it was loaded by JTAG, or if its
+    /// slot has another build now.
     pub fn image<S: SpiDevice>(&self, spi: &mut S) -> Option<(u32, u32)> {
         let layout = self.layout?;
         let area = match self.running {
@@ -243,7 +244,7 @@ impl Flash {
             Running::Golden => layout.golden,
         };
         let meta = meta(&mut Nor(spi), area).ok()??;
-        Some((area.start, meta.length))
+        (meta.build_id == self.trailer.build_id).then_some((area.start, meta.length))
     }
 
     /// Its JEDEC id, 0 if there is no flash.

@@ -483,6 +483,25 @@ fn what_runs_is_told_from_the_trailer_and_the_selected_slot() {
     }
 }
 
+/// After two updates without a power cycle the slot of the running image has another build.
+#[test]
+fn the_slot_of_the_running_image_is_its_own_only_while_it_has_its_build() {
+    use wire::images::Role;
+    let mut chip = Chip::new(0x40_0000);
+    image(&mut chip, Slot::B, 100, 2);
+    let mut flash = started(&mut chip);
+    run(&mut flash, &mut chip, Op::Select, 2, 0);
+    let mut flash = Flash::new();
+    let (build_id, role) = (2, Role::Image);
+    let trailer = Trailer { build_id, role };
+    flash.start(&mut chip, trailer, None, Settings::default(), false);
+    let start = Layout::of(0x40_0000).unwrap().slot_b.start;
+    assert_eq!(flash.image(&mut chip), Some((start, 100)));
+    image(&mut chip, Slot::B, 200, 3);
+    assert_eq!(flash.running(), Running::B);
+    assert_eq!(flash.image(&mut chip), None, "another build");
+}
+
 proptest::proptest! {
     #![proptest_config(proptest::prelude::ProptestConfig::with_cases(64))]
 

@@ -59,7 +59,7 @@ impl Loader {
         // SAFETY: no program runs in the SDRAM, it is at least this large, and it is aligned.
         let room = unsafe { &mut *(SDRAM_BASE as *mut Room) };
         if self.length == 0 {
-            return self.begin(machine, room).err().map(Err);
+            return self.begin(machine).err().map(Err);
         }
         if self.copied < self.length {
             let at = self.from.wrapping_add(self.copied as u32);
@@ -86,7 +86,7 @@ impl Loader {
     }
 
     /// Waits for the SDRAM and finds the program.
-    fn begin(&mut self, machine: &mut Machine<Soc>, room: &mut Room) -> Result<(), JobsState> {
+    fn begin(&mut self, machine: &mut Machine<Soc>) -> Result<(), JobsState> {
         if !wake(&mut machine.board) {
             return Err(match machine.plays_segments() {
                 true => JobsState::Streamed,
@@ -96,9 +96,10 @@ impl Loader {
         let (start, length) = machine.image().ok_or(JobsState::Missing)?;
         let end = start + length;
         let mut nor = Nor(machine.board.spi());
-        let _ = nor.read(end.wrapping_sub(8), bytes(&mut room.0, 8));
-        let [first, second, ..] = room.0;
-        let length = program_length([first, second]).filter(|length| *length > 0);
+        // Not in the SDRAM: what the cache keeps of it would be summed in its place.
+        let mut last = [0; 2];
+        let _ = nor.read(end.wrapping_sub(8), bytes(&mut last));
+        let length = program_length(last).filter(|length| *length > 0);
         self.length = length.ok_or(JobsState::Missing)?;
         self.from = end.wrapping_sub(self.length as u32);
         Ok(())
@@ -113,12 +114,10 @@ fn piece<'r>(room: &'r mut Room, done: &mut usize, length: usize) -> &'r mut [u3
     words.get_mut(..count / 4).unwrap_or(&mut [])
 }
 
-/// The first bytes of these words.
-fn bytes(words: &mut [u32], count: usize) -> &mut [u8] {
+/// The bytes of these words.
+fn bytes(words: &mut [u32; 2]) -> &mut [u8] {
     // SAFETY: the same memory, and no more of it.
-    unsafe {
-        core::slice::from_raw_parts_mut(words.as_mut_ptr().cast(), count.min(words.len() * 4))
-    }
+    unsafe { core::slice::from_raw_parts_mut(words.as_mut_ptr().cast(), size_of_val(words)) }
 }
 
 // The services are called with the ROM's registers saved, and what is in them is taken from there
@@ -131,6 +130,10 @@ fn bytes(words: &mut [u32], count: usize) -> &mut [u8] {
 // ROM's own. This processor has no `mscratch`: `t0` is kept in the mask of interrupts, 0xbc0, which
 // does not count until that return. A jump to the reset vector with the guard closed is no reset
 // (`__pre_init`).
+//
+// What the ROM does for the services it does on their stack, and the guard is open then. So it is
+// done only if their stack pointer is in the SDRAM, above `STACK_LEAST` bytes of it: the ROM's own
+// memory is nowhere below.
 //
 // A store that the guard keeps back may be in the data cache, which is discarded in `services_end`
 // before anything is read through it. The read of the guard's status waits for the stores before
@@ -207,6 +210,10 @@ global_asm!(
     "    lui     t0, {page}",
     "    lw      t1, {status}(t0)",
     "    bltz    t1, services_end",
+    "    lui     t1, {lowest}",
+    "    sub     t1, sp, t1",
+    "    lui     t3, {depth}",
+    "    bgeu    t1, t3, services_end",
     "    li      t1, {key}",
     "    sw      t1, {guard}(t0)",
     "    jalr    t2",
@@ -238,7 +245,12 @@ global_asm!(
     key = const timebase::GUARD_KEY_OPEN,
     dead = const abi::DEAD,
     leash = const (1u32 << LEASH_IRQ) >> 12,
+    lowest = const (SDRAM_BASE + STACK_LEAST) >> 12,
+    depth = const (SDRAM_SIZE - STACK_LEAST) >> 12,
 );
+
+/// Bytes of stack, at least, for what the ROM does for the services.
+const STACK_LEAST: usize = 0x4000;
 
 /// The guard's registers, and what `lui` makes of their upper bits.
 const GUARD: u32 = regmap::address(timebase::BASE, timebase::GUARD);
