@@ -563,6 +563,13 @@ PEERS = {
     "LiteX-CNC 1.3.4, as mill6": {"lut4": 9461, "ccu2c": 2160, "ff": 7412, "ebr": 4, "dsp": 0, "lutram": 150, "trellis_comb": 15399},
     "Lcnc f6c0d75, as mill6": None,
 }
+# The same boards before the services (3e58777): no SDRAM, guard, leash or fast path, and an IP
+# stack of the firmware's own in the ROM.
+BEFORE = {
+    "none": {"lut4": 6480, "ccu2c": 420, "ff": 3943, "ebr": 54, "dsp": 4, "trellis_comb": 7734},
+    "mill6": {"lut4": 9844, "ccu2c": 1294, "ff": 8791, "ebr": 55, "dsp": 4, "trellis_comb": 13810},
+    "max": {"lut4": 14108, "ccu2c": 2414, "ff": 16468, "ebr": 55, "dsp": 4, "trellis_comb": 19906},
+}
 AVAILABLE = 24_288  # TRELLIS_COMB of an LFE5U-25F
 _COLUMNS = (("LUT4", "lut4"), ("CCU2C", "ccu2c"), ("FF", "ff"), ("EBR", "ebr"), ("DSP", "dsp"), ("COMB", "trellis_comb"))
 
@@ -601,7 +608,7 @@ def bench(root, out, report=None, seed=None, document=None):
         Path(document).write_text(_SIZE_DOC + text, encoding="utf-8", newline="\n")
     if report:
         Path(report).parent.mkdir(parents=True, exist_ok=True)
-        Path(report).write_text(json.dumps({"boards": boards, "cores": cores, "peers": PEERS, "available": AVAILABLE}, indent=2) + "\n")
+        Path(report).write_text(json.dumps({"boards": boards, "cores": cores, "before": BEFORE, "peers": PEERS, "available": AVAILABLE}, indent=2) + "\n")
     return 0
 
 
@@ -619,6 +626,9 @@ beside it. `segments` (3 axes) is on boards with jobs only. `max` has no pins on
 inputs come from a shift register behind one pad and its outputs leave as a parity through another,
 so that nothing is optimised away (about 40 LUTs). It is packed here, and does not route
 ([timing](timing.md)).
+
+*Before* is the same board without SDRAM, guard, leash and fast path, with an IP stack of its own
+in the ROM, which then had 180 bytes left.
 
 The peers' figures are of the same tools and the same channels: 6 step generators, 6 encoders, 6
 PWM, 12 + 12 I/O, 40 MHz, Etherbone in gateware and no CPU. LiteX-CNC was placed and routed once;
@@ -642,6 +652,7 @@ def size_tables(cores, boards):
     yield from head("board", columns)
     for name, what in (("none", "no channel: CPU, MAC, memories, timebase, watchdog"), ("mill6", "mill6: 6 + 6 + 6, 12 + 12"), ("max", "max: 16 + 16 + 16, 32 + 32")):
         yield row(what, boards[name])
+        yield row(f"{what.partition(':')[0]}, before", BEFORE[name])
     sets = rm.MAX_STEPGEN
     yield row("of max, per step generator + encoder + PWM + 2 inputs + 2 outputs, banks included",
               {key: round((boards["max"][key] - boards["none"][key]) / sets) for _, key in _COLUMNS})

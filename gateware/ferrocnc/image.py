@@ -222,6 +222,8 @@ def check_room(board, role, data, program=b""):
     problem = f"{name} has {len(data)} bytes; its place in the flash of {board.platform.name} has {most}, {missing} too few"
     if program and missing <= len(program):
         problem += f"; with sdram = false in the board file it is without the services, {len(program)} bytes, and fits"
+        if board.jobs:
+            problem += "; without jobs in the board file the services are shorter, and may fit"
     raise BoardError(board.file, "", problem)
 
 

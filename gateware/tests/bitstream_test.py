@@ -99,8 +99,8 @@ def too_little_slack_fails_and_less_can_be_asked_for():
     assert search(reached, slack=0)[0] == 1
 
 
-def board(size, name="x"):
-    return SimpleNamespace(name=name, file="boards/x.toml", platform=SimpleNamespace(name="p", file="p.toml", flash={"bytes": size}))
+def board(size, name="x", jobs=0):
+    return SimpleNamespace(name=name, jobs=jobs, file="boards/x.toml", platform=SimpleNamespace(name="p", file="p.toml", flash={"bytes": size}))
 
 
 def body(length, seed=0):
@@ -156,6 +156,9 @@ def an_image_too_long_for_its_place_is_refused_with_the_bytes_and_the_way_out():
             said = refused(board(size), role, whole, program)
             for part in ("boards/x.toml", f"{name} has {room + 10_000} bytes", f"of p has {room}, 10000 too few", "sdram = false", "70000 bytes, and fits"):
                 assert part in said, f"{part!r} is not in {said!r}"
+            assert "without jobs" not in said, said
+            said = refused(board(size, jobs=3), role, whole, program)
+            assert "without jobs in the board file the services are shorter" in said, said
             # Without the services it would not fit, either: no advice that does not help.
             said = refused(board(size), role, image.with_program(body(room + 4), program), program)
             assert "70004 too few" in said and "sdram" not in said, said

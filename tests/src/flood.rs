@@ -33,6 +33,17 @@ const TCP_ARMED: [usize; 2] = [74, 202];
 /// while the machine moves.
 const DHCP: (u16, u16) = (67, 68);
 const DHCP_LONGEST: usize = 350 - 42;
+/// The status page's port.
+const PAGE_PORT: u16 = 80;
+/// Addresses and the port of names on the segment.
+const NAMES: ([u8; 6], Ipv4Addr) = ([1, 0, 0x5e, 0, 0, 0xfb], Ipv4Addr::new(224, 0, 0, 251));
+const NAMES_PORT: u16 = 5353;
+/// Addresses of all that take part in groups, and the protocol of questions about them.
+const ALL_SYSTEMS: ([u8; 6], Ipv4Addr) = ([1, 0, 0x5e, 0, 0, 1], Ipv4Addr::new(224, 0, 0, 1));
+const IGMP: u8 = 2;
+/// The port of servers of the time, and their answer's bytes.
+const TIME: (u16, usize) = (123, 48);
+const UDP: u8 = 17;
 /// Servo periods for a handshake with the console.
 const HANDSHAKE: usize = 20;
 /// More than the pieces of the longest answer of a console, with their acknowledgements.
@@ -83,6 +94,13 @@ pub enum Kind {
     Jobs,
     /// To the port of DHCP clients, as from a server or not, as long as a lease's answer.
     Dhcp,
+    /// Questions for the boards of the segment by their service, one or as many as a frame holds
+    /// while the machine moves; to all, or to the board's port of names.
+    Names,
+    /// As from a server of the time.
+    Time,
+    /// A router asks for the groups that are wanted.
+    Groups,
     /// A part of a datagram to the board's port.
     Fragment,
     /// Any of these.
@@ -90,7 +108,7 @@ pub enum Kind {
 }
 
 /// All of them; [`Kind::Mix`] is the last.
-pub const KINDS: [Kind; 21] = [
+pub const KINDS: [Kind; 24] = [
     Kind::Arp,
     Kind::ShortRead,
     Kind::LongRead,
@@ -110,6 +128,9 @@ pub const KINDS: [Kind; 21] = [
     Kind::TcpArmed,
     Kind::Jobs,
     Kind::Dhcp,
+    Kind::Names,
+    Kind::Time,
+    Kind::Groups,
     Kind::Fragment,
     Kind::Mix,
 ];
@@ -211,7 +232,7 @@ impl BenchMachine {
             Kind::LongPingArmed => self.echo(PING_ARMED[1], rng),
             Kind::Tcp => self.short_or_long(CONSOLE_PORT, short, rng),
             Kind::TcpArmed => {
-                let to = *[CONSOLE_PORT, wire::jobs::PORT, rng.random()]
+                let to = *[CONSOLE_PORT, PAGE_PORT, wire::jobs::PORT, rng.random()]
                     .choose(rng)
                     .unwrap_or(&CONSOLE_PORT);
                 // As SYN of a new client, or of a connection that is none.
@@ -225,11 +246,26 @@ impl BenchMachine {
                 let length = rng.random_range(300..=DHCP_LONGEST);
                 self.udp((INTRUDER_IP, from), DHCP.1, &vec![1; length])
             }
+            Kind::Names => self.names(short, rng),
+            Kind::Time => {
+                let (port, length) = TIME;
+                let from = if short { port } else { rng.random() };
+                let payload: Vec<u8> = (0..length).map(|_| rng.random()).collect();
+                self.udp((INTRUDER_IP, from), port, &payload)
+            }
+            Kind::Groups => {
+                // About all groups, or about that of the names.
+                let about = if short { [0; 4] } else { NAMES.1.octets() };
+                let [a, b] = checksum(&[&[0x11, 10, 0, 0], &about]);
+                let question = [&[0x11, 10, a, b], &about[..]].concat();
+                let to = if short { ALL_SYSTEMS } else { NAMES };
+                gmii::encode(&self.packet(to, INTRUDER_IP, IGMP, 0, &question))
+            }
             Kind::Fragment => {
                 let fragment = *[0x2000, 0x2001, 0x0001, 0x1fff].choose(rng).unwrap_or(&1);
                 gmii::encode(&self.ip(
                     INTRUDER_IP,
-                    17,
+                    UDP,
                     fragment,
                     &vec![0; if short { 26 } else { 1480 }],
                 ))
@@ -260,6 +296,24 @@ impl BenchMachine {
         let data = vec![b'x'; length];
         let tcp = tcp_segment_to(to, rng.random(), flags, rng.random(), 0, &data);
         gmii::encode(&self.ip(INTRUDER_IP, 6, 0, &tcp))
+    }
+
+    fn names(&mut self, short: bool, rng: &mut Pcg64Mcg) -> Vec<u8> {
+        // PTR, and an answer to the asker alone or to all.
+        const NAME: &[u8] = b"\x09_ferrocnc\x04_udp\x05local\0\0\x0c";
+        let count = if short { 1 } else { 2 };
+        let class = if rng.random_bool(0.5) { 0x8001u16 } else { 1 };
+        let question = [NAME, &class.to_be_bytes()].concat();
+        let head = [0, 0, 0, 0, 0, count, 0, 0, 0, 0, 0, 0];
+        let payload = [&head[..], &question.repeat(usize::from(count))].concat();
+        if rng.random_bool(0.5) {
+            return self.udp((INTRUDER_IP, NAMES_PORT), NAMES_PORT, &payload);
+        }
+        let length = (payload.len() + 8) as u16;
+        let ports = [NAMES_PORT.to_be_bytes(), NAMES_PORT.to_be_bytes()].concat();
+        // A datagram without a checksum.
+        let datagram = [&ports[..], &length.to_be_bytes(), &[0, 0], &payload].concat();
+        gmii::encode(&self.packet(NAMES, INTRUDER_IP, UDP, 0, &datagram))
     }
 
     fn multicast(&mut self, short: bool, rng: &mut Pcg64Mcg) -> Vec<u8> {
@@ -330,6 +384,19 @@ impl BenchMachine {
 
     /// An IP packet to the board.
     pub fn ip(&mut self, from: Ipv4Addr, protocol: u8, fragment: u16, body: &[u8]) -> Vec<u8> {
+        let to = (self.board_mac(), BOARD_IP);
+        self.packet(to, from, protocol, fragment, body)
+    }
+
+    /// An IP packet to these addresses.
+    fn packet(
+        &mut self,
+        to: ([u8; 6], Ipv4Addr),
+        from: Ipv4Addr,
+        protocol: u8,
+        fragment: u16,
+        body: &[u8],
+    ) -> Vec<u8> {
         let length = (20 + body.len()) as u16;
         let mut header = [
             &[0x45, 0][..],
@@ -338,13 +405,13 @@ impl BenchMachine {
             &fragment.to_be_bytes(),
             &[64, protocol, 0, 0],
             &from.octets(),
-            &BOARD_IP.octets(),
+            &to.1.octets(),
         ]
         .concat();
         let sum = checksum(&[&header]);
         header[10..12].copy_from_slice(&sum);
         let mac = self.rig.segment.host_mac(from);
-        ethernet(self.board_mac(), mac, 0x0800, &[&header[..], body].concat())
+        ethernet(to.0, mac, 0x0800, &[&header[..], body].concat())
     }
 
     /// A servo period in which these frames and no others are on the wire, the owner's exchange in

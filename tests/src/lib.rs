@@ -686,7 +686,7 @@ impl BenchMachine {
 }
 
 /// Address range of the first function with `part` in its name.
-fn symbol(elf: &std::path::Path, part: &str) -> (usize, usize) {
+pub fn symbol(elf: &std::path::Path, part: &str) -> (usize, usize) {
     use object::{Object, ObjectSymbol};
     let bytes = std::fs::read(elf).unwrap_or_else(|error| panic!("{}: {error}", elf.display()));
     let file =

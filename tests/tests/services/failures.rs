@@ -2,15 +2,19 @@
 
 use ferrocnc_tests::flood::Kind;
 use ferrocnc_tests::services::{begins_with, broken, sealed, small};
-use ferrocnc_tests::wired::{program, setup};
-use ferrocnc_tests::{BenchMachine, report_part, seed};
+use ferrocnc_tests::wired::{program, program_without_jobs, setup};
+use ferrocnc_tests::{BenchMachine, parts, report_part, seed, symbol};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use serde_json::json;
 use sim::lan_segment::CONSOLE_PORT;
+use sim::rig::Setup;
 use wire::describe::JobsState;
 use wire::exchange::{Command, Status};
-use wire::regmap::{WINDOW_BASE, WINDOW_SIZE, address, command, stepgen, timebase, watchdog};
+use wire::map;
+use wire::regmap::{
+    SDRAM_BASE, SDRAM_SIZE, WINDOW_BASE, WINDOW_SIZE, address, command, stepgen, timebase, watchdog,
+};
 use wire::state::State;
 
 use crate::{EBREAK, FAST, LATE, LEASH, becomes, moving, state};
@@ -41,6 +45,8 @@ const OVERFLOW: [u32; 4] = [
     0x0011_2023, // sw ra, 0(sp)
     0xff9f_f0ef, // jal 1b
 ];
+/// `lw t0, 1(zero)`
+const MISALIGNED: u32 = 0x0010_2283;
 /// `lui sp, 0x12345`: where there is no memory.
 const LOST_STACK: u32 = 0x1234_5137;
 
@@ -65,11 +71,16 @@ fn outlives_in(part: &str, what: &str, code: &[u32], late: u64) {
     outlives(what, &sealed(broken(program(), part, code)), late);
 }
 
+/// The same on a board with jobs.
+fn outlives(what: &str, program: &[u8], late: u64) {
+    outlives_on(setup(program), what, late);
+}
+
 /// This program fails when a ping comes, while three axes move. Every exchange with a pass is
 /// answered by the gateware; one that comes too soon behind the one that met the failure has none,
 /// and its answer takes `late` clocks at most.
-fn outlives(what: &str, program: &[u8], late: u64) {
-    let mut machine = BenchMachine::boot(setup(program));
+fn outlives_on(board: Setup, what: &str, late: u64) {
+    let mut machine = BenchMachine::boot(board);
     assert_eq!(state(&mut machine), JobsState::Alive, "{what}");
     let mut command = moving(&mut machine);
     let before = SETTINGS.map(|at| machine.read(at));
@@ -168,9 +179,59 @@ fn stores(all: &[(u32, u32)]) -> Vec<u32> {
     code.chain([FOR_EVER]).collect()
 }
 
+/// `jal zero`, from the first function with `from` in its name to that with `to`.
+fn jump(from: &str, to: &str) -> u32 {
+    let elf = parts().1.with_file_name("ferrocnc-services.elf");
+    let [(from, _), (to, _)] = [from, to].map(|part| symbol(&elf, part));
+    let way = to.wrapping_sub(from) as u32;
+    (way >> 20 & 1) << 31 | (way >> 1 & 0x3ff) << 21 | (way >> 11 & 1) << 20 | way & 0xf_f000 | 0x6f
+}
+
+/// Code in a call with a frame that asks the ROM for something, with its stack here.
+fn asks_on(stack: u32) -> Vec<u32> {
+    const SP: u32 = 2;
+    let upper = stack.wrapping_add(0x800) & !0xfff | SP << 7 | 0x37;
+    let lower = (stack & 0xfff) << 20 | SP << 15 | SP << 7 | 0x13;
+    let asks = ASKS_FOR_EVER[4..].to_vec();
+    [vec![upper, lower], asks].concat()
+}
+
 #[test]
 fn a_panic_in_the_services_of_a_moving_machine_ends_them_and_not_the_motion() {
-    outlives_in(PING, "panic", &[EBREAK], LATE);
+    // What `panic!` calls, with whatever arguments there are.
+    let code = jump(PING, "panic_fmt");
+    outlives_in(PING, "panic", &[code], LATE);
+}
+
+#[test]
+fn a_misaligned_load_in_the_services_of_a_moving_machine_ends_them_and_not_the_motion() {
+    let program = small(&program(), &[MISALIGNED, FOR_EVER]);
+    outlives("misaligned load", &program, LATE);
+}
+
+#[test]
+fn a_panic_of_services_without_jobs_ends_them_and_not_the_motion() {
+    let mut board = setup(&small(&program_without_jobs(), &[EBREAK]));
+    (board.soc_dir, _) = parts();
+    outlives_on(board, "panic without jobs", LATE);
+}
+
+#[test]
+fn services_with_their_stack_anywhere_ask_the_rom_for_nothing() {
+    let sdram = SDRAM_BASE as u32;
+    let places = [
+        ("the beginning of the SDRAM", sdram + 0x10),
+        ("its end", sdram + SDRAM_SIZE as u32 + 0x40),
+        ("the ROM's window", WINDOW_BASE as u32 + 0x40),
+        (
+            "the ROM's memory",
+            (WINDOW_BASE + WINDOW_SIZE) as u32 + 0x1000,
+        ),
+    ];
+    for (what, stack) in places {
+        let program = small(&program(), &asks_on(stack));
+        outlives(&format!("asks with its stack in {what}"), &program, LATE);
+    }
 }
 
 #[test]
@@ -274,6 +335,31 @@ fn services_that_store_wildly_with_interrupts_off_are_ended_when_they_return() {
     code.extend([0x0000_0513, 0x0000_8067]); // li a0, 0; ret
     let program = begins_with(&program(), &code);
     outlives("a store without interrupts", &program, LATE);
+}
+
+/// What nothing in the processor ends is what the watchdog is for.
+#[test]
+fn services_that_loop_with_interrupts_off_stop_the_machine_when_the_watchdog_bites() {
+    const NO_INTERRUPTS: u32 = 0x3004_7073; // csrci mstatus, 8
+    let program = small(&program(), &[NO_INTERRUPTS, FOR_EVER]);
+    let mut machine = BenchMachine::boot(setup(&program));
+    let mut command = moving(&mut machine);
+    let timeout = u64::from(machine.read(map::CONFIG_BOARD));
+    // The pass, which that datagram of the owner has taken back.
+    machine.run_clocks(AGAIN);
+    machine.exchange_and_wait(&mut command);
+    let ping = machine.frame(Kind::PingArmed, &mut Pcg64Mcg::seed_from_u64(seed()));
+    machine.period_with(&mut command, &[ping], 1);
+    let answers = (0..4).filter(|_| machine.period_with(&mut command, &[], 0).is_some());
+    let answers = answers.count();
+    assert!(answers <= 1, "a pass is for one exchange, not {answers}");
+    let stop = (0..3).map(|axis| machine.soft_stop_clocks(&command, axis));
+    let bound = machine.clock() + timeout + stop.max().unwrap_or(0);
+    machine.run_clocks(bound + timeout - machine.clock());
+    assert!(!machine.gate_open());
+    assert_eq!(machine.outputs(), 0);
+    let last = (0..3).filter_map(|axis| machine.last_step(axis)).max();
+    assert!(last.is_some_and(|last| last < bound), "{last:?}, {bound}");
 }
 
 #[test]

@@ -52,7 +52,8 @@ fn asked(machine: &mut BenchMachine) -> Option<JobsState> {
 fn moving(machine: &mut BenchMachine) -> Command {
     machine.make_ready();
     let mut command = machine.enabled_command();
-    for (n, (velocity, accel)) in command.stepgen.iter_mut().take(3).enumerate() {
+    let axes = usize::from(machine.channels().stepgens);
+    for (n, (velocity, accel)) in command.stepgen.iter_mut().take(axes).enumerate() {
         *velocity = Velocity::from_hz(20e3 * (n as f64 - 1.4), machine.clock_hz());
         *accel = Accel::from_steps(1e8, machine.clock_hz());
     }
