@@ -179,15 +179,15 @@ impl<'b> Blob<'b> {
 
     /// The entries this version knows, in order, each channel of a list as entries of its own.
     pub fn entries(&self) -> impl Iterator<Item = Entry<'b>> + use<'b> {
-        self.raw().flat_map(|(code, channel, value)| {
-            let one = Kind::from_code(code).map(|kind| Entry {
-                kind,
-                channel,
-                value,
-            });
-            let list = if code == LIST { value } else { &[] };
-            one.into_iter().chain(channels_of(channel, list))
-        })
+        self.raw().flat_map(split_list)
+    }
+
+    /// The same, to be read a piece at a time.
+    pub fn pieces(&self) -> Pieces {
+        Pieces {
+            at: HEADER_LEN,
+            end: HEADER_LEN + self.entries.len(),
+        }
     }
 
     /// Like [`Blob::entries`], but without the lists: the facts about the board itself.
@@ -217,6 +217,38 @@ impl<'b> Blob<'b> {
             .find(|e| e.kind == kind && e.channel == channel)?;
         core::str::from_utf8(entry.value).ok()
     }
+}
+
+/// How far the entries of a checked blob are read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pieces {
+    at: usize,
+    end: usize,
+}
+
+impl Pieces {
+    /// The next entries of the blob in these bytes, one or those of one list, so 255 bytes of them
+    /// at most; nothing behind the last ones.
+    pub fn next_of<'b>(
+        &mut self,
+        bytes: &'b [u8],
+    ) -> Option<impl Iterator<Item = Entry<'b>> + use<'b>> {
+        let rest = bytes.get(self.at..self.end)?;
+        let (raw, after) = split_entry(rest)?;
+        self.at = self.end - after.len();
+        Some(split_list(raw))
+    }
+}
+
+/// An entry, or each channel of a list as entries of its own.
+fn split_list((code, channel, value): RawEntry) -> impl Iterator<Item = Entry> {
+    let one = Kind::from_code(code).map(|kind| Entry {
+        kind,
+        channel,
+        value,
+    });
+    let list = if code == LIST { value } else { &[] };
+    one.into_iter().chain(channels_of(channel, list))
 }
 
 /// The channels of a list, each with its name and its pins.
@@ -280,6 +312,32 @@ mod tests {
         }
         bytes.extend(body);
         bytes
+    }
+
+    #[test]
+    fn pieces_are_the_entries_in_their_order_and_none_is_longer_than_a_list() {
+        let bytes = blob(&[
+            (1, 0, b"5a-75b-8.0"),
+            (200, 0, b"???"),
+            (LIST, 4, b"oflood opin=j4:5\nbrake opin=j4:6"),
+            (3, 2, b"z"),
+        ]);
+        let checked = Blob::new_checked(&bytes).unwrap();
+        let mut pieces = checked.pieces();
+        let mut counts = Vec::new();
+        let mut entries = Vec::new();
+        while let Some(piece) = pieces.next_of(&bytes) {
+            let before = entries.len();
+            entries.extend(piece);
+            counts.push(entries.len() - before);
+        }
+        assert_eq!(counts, [1, 0, 4, 1]);
+        assert_eq!(entries, checked.entries().collect::<Vec<_>>());
+        assert!(pieces.next_of(&bytes).is_none());
+        assert!(
+            checked.pieces().next_of(&bytes[..20]).is_none(),
+            "other bytes"
+        );
     }
 
     #[test]

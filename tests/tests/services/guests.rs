@@ -123,10 +123,7 @@ fn asks_for_the_page(
 fn the_status_page_is_read_at_rest_and_is_busy_while_the_machine_moves() {
     const LINES: [&str; 3] = ["status", "help", "settings"];
     let mut machine = BenchMachine::boot(mill());
-    let [status, text] = ["/status.json", "/"].map(|path| page(&mut machine, path));
-    let json: serde_json::Value = serde_json::from_str(&status).expect("JSON");
-    assert_eq!(json["machine"]["state"], "disarmed", "{json}");
-    assert!(text.trim_end().ends_with("</script>"), "{text}");
+    let [_, started] = machine.longest_calls();
     // A host owns the machine, which is at rest: its exchanges go on, and so does the page.
     machine.acquire();
     let mut command = machine.enabled_command();
@@ -147,6 +144,12 @@ fn the_status_page_is_read_at_rest_and_is_busy_while_the_machine_moves() {
     let [at_all, at_rest] = machine.longest_calls();
     assert_eq!(at_all, 0, "no call of a machine that moves");
     machine.release();
+
+    // Without an owner a call may take longer than with one.
+    let [status, text] = ["/status.json", "/"].map(|path| page(&mut machine, path));
+    let json: serde_json::Value = serde_json::from_str(&status).expect("JSON");
+    assert_eq!(json["machine"]["state"], "disarmed", "{json}");
+    assert!(text.trim_end().ends_with("</script>"), "{text}");
 
     let mut command = moving(&mut machine);
     let mut heard = String::new();
@@ -184,10 +187,11 @@ fn the_status_page_is_read_at_rest_and_is_busy_while_the_machine_moves() {
         }
     }
     let [moving, other] = machine.longest_calls();
-    println!("longest call of the services {moving} clocks while moving, {other} else");
-    let figures = json!({"moving": moving, "at_rest": at_rest, "else": other});
+    println!(
+        "longest call of the services {moving} clocks while moving, {at_rest} at rest ({started} when they had started), {other} without an owner"
+    );
+    let figures = json!({"moving": moving, "at_rest": at_rest, "without_owner": other});
     report_part("services", "longest_call_clocks_without_jobs", figures);
     assert!((1..=LONGEST_MOVING).contains(&moving), "{moving}");
     assert!((1..=LONGEST_AT_REST).contains(&at_rest), "{at_rest}");
-    assert!((at_rest..=LONGEST_AT_REST).contains(&other), "{other}");
 }
