@@ -11,7 +11,10 @@ use std::vec::Vec;
 use wire::describe::{Channels, FEATURE_JOBS};
 use wire::etherbone::{HEADER, record};
 use wire::exchange::{COMMAND_HEAD, Command, REQUEST_OVERHEAD, STATUS_MAX, Status, command_word};
+use wire::flash::Layout;
+use wire::images::Trailer;
 use wire::regmap::{self, command, segments, status, timebase, watchdog};
+use wire::settings::{self, Settings};
 use wire::{MAX_WORDS, Refusal, ResetReason, map};
 
 pub const SIX: Channels = Channels {
@@ -444,12 +447,30 @@ impl Rig {
         Rig::of(ABI, SIX, FEATURE_JOBS)
     }
 
+    /// The same, with these settings in its flash.
+    pub fn with_settings(settings: &Settings) -> Self {
+        let mut board = Notebook::new();
+        let mut bytes = [0; 4 * settings::WORDS];
+        wire::words_to_bytes(&settings.to_words(), &mut bytes);
+        let layout = Layout::of(board.chip.cells.len() as u32).expect("a size of boards");
+        board.chip.put(layout.settings, &bytes);
+        let mut rig = Rig::on(board, ABI, SIX, FEATURE_JOBS);
+        let trailer = Trailer::from_words(rig.board.trailer);
+        let (flash, chip) = (&mut rig.server.flash, &mut rig.board.chip);
+        flash.start(chip, trailer, None, Settings::BUILT_IN, false);
+        rig
+    }
+
     /// A board of this build with these channels.
     pub fn with_channels(channels: Channels) -> Self {
         Rig::of(ABI, channels, 0)
     }
 
     fn of(gateware: u32, channels: Channels, features: u32) -> Self {
+        Rig::on(Notebook::new(), gateware, channels, features)
+    }
+
+    fn on(board: Notebook, gateware: u32, channels: Channels, features: u32) -> Self {
         let ident = Ident {
             abi: gateware,
             version: 0x00_01_00,
@@ -460,7 +481,7 @@ impl Rig {
         };
         let mut rig = Rig {
             server: Server::new(ident, ABI, BOOT),
-            board: Notebook::new(),
+            board,
             sequence: 0,
         };
         rig.server.start(&mut rig.board);

@@ -10,6 +10,7 @@
 //! | [`day`] | 24 hours of clients that die, return, hang up and lie |
 //! | [`kinds`] | 24 hours of six ways to leave a console without a word, each with its limit |
 //! | [`status`] | the status page, and datagrams of names |
+//! | [`servers`] | a server of syslog and one of the time: what they hear, and what comes of it |
 
 mod rig;
 
@@ -18,5 +19,6 @@ mod ends;
 mod forged;
 mod host;
 mod kinds;
+mod servers;
 mod status;
 mod wire;

@@ -4,7 +4,7 @@ use super::rig::{Board, PROMPT, US, echo};
 use smoltcp::phy::ChecksumCapabilities;
 use smoltcp::wire::{
     EthernetAddress, EthernetFrame, EthernetProtocol, EthernetRepr, IpProtocol, Ipv4Address,
-    Ipv4Packet, Ipv4Repr, TcpControl, TcpPacket, TcpRepr, TcpSeqNumber,
+    Ipv4Packet, Ipv4Repr, TcpControl, TcpPacket, TcpRepr, TcpSeqNumber, UdpPacket, UdpRepr,
 };
 use std::vec;
 use std::vec::Vec;
@@ -43,6 +43,45 @@ pub fn segment_of(frame: &[u8]) -> Option<TcpSegment> {
         window: tcp.window_len,
         data: tcp.payload.to_vec(),
     })
+}
+
+/// A datagram of this device between these ports, to the board or to a group.
+pub fn udp_frame(
+    (mac, src_addr): (EthernetAddress, Ipv4Address),
+    (src_port, dst_port): (u16, u16),
+    to: u32,
+    payload: &[u8],
+) -> Vec<u8> {
+    let sums = ChecksumCapabilities::default();
+    let dst_addr = Ipv4Address::from_bits(to);
+    let udp = UdpRepr { src_port, dst_port };
+    let ip = Ipv4Repr {
+        src_addr,
+        dst_addr,
+        next_header: IpProtocol::Udp,
+        payload_len: udp.header_len() + payload.len(),
+        hop_limit: 255,
+    };
+    let mut bytes = vec![0; 14 + ip.buffer_len() + ip.payload_len];
+    let mut frame = EthernetFrame::new_unchecked(&mut bytes);
+    frame.set_src_addr(mac);
+    let [_, a, b, c] = dst_addr.octets();
+    frame.set_dst_addr(match dst_addr.is_multicast() {
+        true => EthernetAddress([1, 0, 0x5e, a & 0x7f, b, c]),
+        false => EthernetAddress(US.mac),
+    });
+    frame.set_ethertype(EthernetProtocol::Ipv4);
+    let mut packet = Ipv4Packet::new_unchecked(frame.payload_mut());
+    ip.emit(&mut packet, &sums);
+    udp.emit(
+        &mut UdpPacket::new_unchecked(packet.payload_mut()),
+        &src_addr.into(),
+        &dst_addr.into(),
+        payload.len(),
+        |room| room.copy_from_slice(payload),
+        &sums,
+    );
+    bytes
 }
 
 /// One end of a connection.

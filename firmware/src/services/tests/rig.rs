@@ -1,5 +1,6 @@
 //! The board of these tests: the services over a real server, on a fake board.
 
+use crate::cores::{Board as _, Control};
 use crate::fake;
 use crate::machine::{Lease, VISIT_WORDS, Verb, Verdict};
 use crate::net::Us;
@@ -16,6 +17,7 @@ use std::vec::Vec;
 use std::{format, vec};
 use wire::MAX_WORDS;
 use wire::regmap::segments;
+use wire::settings::Settings;
 
 pub const US: Us = Us {
     mac: [2, 0, 0, 0, 0, 1],
@@ -51,7 +53,10 @@ pub struct ModelRom {
 impl ModelRom {
     /// So many milliseconds after power-up.
     fn new(ms: u64) -> Self {
-        let mut server = fake::Rig::with_segments();
+        ModelRom::of(fake::Rig::with_segments(), ms)
+    }
+
+    fn of(mut server: fake::Rig, ms: u64) -> Self {
         server.board.now = ms * MS;
         ModelRom {
             server,
@@ -60,6 +65,14 @@ impl ModelRom {
             announced: Vec::new(),
             logins: 0,
             moving: false,
+        }
+    }
+
+    /// The e-stop input opens, or it closes and what it latched is cleared.
+    pub fn estop(&mut self, open: bool) {
+        self.server.board.estop = open;
+        if !open {
+            self.server.board.control(Control::Clear);
         }
     }
 }
@@ -144,7 +157,15 @@ impl Board {
 
     /// A board whose services start so many milliseconds after power-up.
     pub fn started(ms: u64) -> Self {
-        let mut rom = ModelRom::new(ms);
+        Board::on(ModelRom::new(ms))
+    }
+
+    /// A board with these settings in its flash.
+    pub fn with_settings(settings: &Settings) -> Self {
+        Board::on(ModelRom::of(fake::Rig::with_settings(settings), 1))
+    }
+
+    fn on(mut rom: ModelRom) -> Self {
         let place = Box::leak(Box::new(Place::new()));
         let memory = vec![0xa5; ROOM].leak();
         let log = vec![0xa5; crate::services::journal::BYTES].leak();

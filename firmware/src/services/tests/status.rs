@@ -1,15 +1,14 @@
-//! What the board says of itself: the status page as a browser asks for it, and names, events and
-//! the time as datagrams.
+//! What the board says of itself: the status page as a browser asks for it, and names as
+//! datagrams.
 
-use super::host::Host;
+use super::host::{Host, udp_frame};
 use super::rig::{Board, US};
 use crate::services::mdns;
 use serde_json::Value as Json;
 use simple_dns::{CLASS, Name, Packet, QCLASS, QTYPE, Question, TYPE};
-use smoltcp::phy::ChecksumCapabilities;
 use smoltcp::wire::{
-    EthernetAddress, EthernetFrame, EthernetProtocol, IgmpPacket, IgmpRepr, IpProtocol,
-    Ipv4Address, Ipv4Packet, Ipv4Repr, UdpPacket, UdpRepr,
+    EthernetAddress, EthernetFrame, IgmpPacket, IgmpRepr, IpProtocol, Ipv4Address, Ipv4Packet,
+    UdpPacket,
 };
 use std::string::{String, ToString};
 use std::vec;
@@ -49,38 +48,9 @@ fn datagram(to: u32, payload: &[u8]) -> Vec<u8> {
     between((PORT, PORT), to, payload)
 }
 
-/// A datagram between these ports.
-fn between((src_port, dst_port): (u16, u16), to: u32, payload: &[u8]) -> Vec<u8> {
-    let sums = ChecksumCapabilities::default();
-    let to = Ipv4Address::from_bits(to);
-    let udp = UdpRepr { src_port, dst_port };
-    let ip = Ipv4Repr {
-        src_addr: CLIENT,
-        dst_addr: to,
-        next_header: IpProtocol::Udp,
-        payload_len: udp.header_len() + payload.len(),
-        hop_limit: 255,
-    };
-    let mut bytes = vec![0; 14 + ip.buffer_len() + ip.payload_len];
-    let mut frame = EthernetFrame::new_unchecked(&mut bytes);
-    frame.set_src_addr(CLIENT_MAC);
-    let [_, a, b, c] = to.octets();
-    frame.set_dst_addr(match to.is_multicast() {
-        true => EthernetAddress([1, 0, 0x5e, a & 0x7f, b, c]),
-        false => EthernetAddress(US.mac),
-    });
-    frame.set_ethertype(EthernetProtocol::Ipv4);
-    let mut packet = Ipv4Packet::new_unchecked(frame.payload_mut());
-    ip.emit(&mut packet, &sums);
-    udp.emit(
-        &mut UdpPacket::new_unchecked(packet.payload_mut()),
-        &CLIENT.into(),
-        &to.into(),
-        payload.len(),
-        |room| room.copy_from_slice(payload),
-        &sums,
-    );
-    bytes
+/// A datagram of the client between these ports.
+fn between(ports: (u16, u16), to: u32, payload: &[u8]) -> Vec<u8> {
+    udp_frame((CLIENT_MAC, CLIENT), ports, to, payload)
 }
 
 /// The messages of names among these frames; every one is right in all its sums.
