@@ -14,17 +14,21 @@
 //! is one sending socket per interface. A socket bound to an address does not receive broadcasts,
 //! so one more socket listens at the same port.
 
-use crate::client::nonce;
+use crate::address::Address;
+use crate::client::{Client, nonce};
+use crate::flash::{FlashError, Overview};
 use crate::keys::{Key, KeyError, Keys};
 use crate::uid::uid_text;
 use socket2::{Domain, Protocol, SockAddr, Socket, Type};
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
 use std::time::{Duration, Instant};
+use wire::board::Kind;
+use wire::describe::FEATURE_KEY;
 use wire::discovery::{Body, Here, Message, WORDS_MAX};
 use wire::flash::OpResult;
 use wire::settings::Settings;
-use wire::{DISCOVERY_PORT, MAX_PAYLOAD, MAX_WORDS};
+use wire::{DISCOVERY_PORT, MAX_PAYLOAD, MAX_WORDS, Name, State, map};
 
 /// 1.5 s: a board answers within milliseconds; if its firmware is busy with its flash, within a
 /// second.
@@ -110,6 +114,44 @@ impl Found {
     /// Where its Etherbone server is, as it says.
     pub fn socket(&self) -> SocketAddrV4 {
         SocketAddrV4::new(self.here.ip.into(), self.here.port)
+    }
+
+    /// The board with its Etherbone server there, from what every client may read: a firewall may
+    /// drop its broadcast answers.
+    pub fn read(at: SocketAddrV4) -> Result<Self, FlashError> {
+        let mut client = Client::open(&Address {
+            text: at.to_string(),
+            socket: at,
+        })?;
+        let (identity, overview) = (client.identify()?, Overview::read(&mut client)?);
+        let owner = client.read(&[map::SESSION_OWNER_IP])?;
+        let settings = overview.settings.map_err(FlashError::Settings)?;
+        let describe = &identity.describe;
+        let name = |kind| Name::cut(identity.blob().text(kind, 0).unwrap_or(""));
+        let armed = match describe.state.state {
+            State::Disarmed | State::Faulted => false,
+            State::Boot | State::Armed | State::Stopping => true,
+        };
+        let here = Here {
+            mac: settings.mac,
+            ip: overview.ip.to_bits(),
+            port: at.port(),
+            dhcp: settings.dhcp && overview.ip.to_bits() != settings.ip,
+            armed,
+            owned: owner != [0],
+            keyed: describe.features & FEATURE_KEY != 0,
+            running: overview.running,
+            origin: overview.origin,
+            speed: overview.link.speed,
+            wire_version: describe.wire_version,
+            firmware_version: describe.firmware_version,
+            build_id: overview.build_id,
+            name: settings.name,
+            configuration: name(Kind::Configuration),
+            platform: name(Kind::Platform),
+        };
+        let uid = overview.uid;
+        Ok(Found { uid, here })
     }
 }
 

@@ -22,6 +22,15 @@ use std::process::{Child, Command, Stdio};
 const NEEDS: &str = "this test makes network namespaces (Debian's iproute2 and util-linux): run it as root, \
                      or on a kernel that allows user namespaces";
 
+/// What `ferrocnc` says of a board that is silent: the same command again does no harm. It gives up
+/// after seconds of this computer, in which a simulated board may not have run at all.
+pub const SILENT: [&str; 4] = [
+    "no answer from",
+    "does not answer",
+    "has not answered",
+    "is not an IPv4 address or a known host name",
+];
+
 /// A namespace, held by a process that does nothing.
 #[derive(Debug)]
 pub struct Place {

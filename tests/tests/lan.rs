@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use ferrocnc_tests::flash::{self, Boots, FIRST, SECOND, UID, boots, factory};
 use ferrocnc_tests::lan::dhcp::DhcpServer;
-use ferrocnc_tests::lan::{Lan, Place};
+use ferrocnc_tests::lan::{Lan, Place, SILENT};
 use ferrocnc_tests::{Simulator, program};
 use serde_json::Value;
 use sim::nor::{Nor, Part};
@@ -54,11 +54,8 @@ fn ferrocnc(mut command: Command, arguments: &[&str]) -> Output {
         .unwrap_or_else(|error| panic!("{command:?}: {error}"))
 }
 
-/// What a board of a busy computer takes at most. The tool gives up after seconds of this computer,
-/// in which a simulated board may not have run at all.
+/// What a board of a busy computer takes at most.
 const SLOWEST: Duration = Duration::from_secs(120);
-/// What the tool says of a board that is silent: the same command again does no harm.
-const SILENT: [&str; 3] = ["no answer from", "does not answer", "has not answered"];
 
 /// Runs `ferrocnc` on this host, again while the board is silent. It has to succeed.
 fn at_host(host: &Place, arguments: &[&str]) -> String {

@@ -37,6 +37,10 @@ const PACKAGES: &[(&str, &str)] = &[
     ("tcpdump", "listens to ARP"),
     ("dnsmasq-base", "a real DHCP server on such a segment"),
     (
+        "iptables",
+        "a firewall that `ferrocnc discover` has to get past",
+    ),
+    (
         "procps",
         "finds LinuxCNC processes that a crash left behind",
     ),

@@ -2,13 +2,13 @@
 
 use crate::leases::{kinds, leased};
 use crate::rig::*;
-use ferrocnc_tests::Simulator;
 use ferrocnc_tests::flash::{UID, factory, with_services};
 use ferrocnc_tests::lan::arp::{Arp, Listener, Says};
 use ferrocnc_tests::lan::avahi::Avahi;
 use ferrocnc_tests::lan::dhcp::DhcpServer;
-use ferrocnc_tests::lan::{Lan, Place};
-use serde_json::Value as Json;
+use ferrocnc_tests::lan::{Lan, Place, SILENT};
+use ferrocnc_tests::{Simulator, program};
+use serde_json::{Value as Json, json};
 use sim::nor::Part;
 use std::process::Command;
 use std::time::Instant;
@@ -91,6 +91,51 @@ fn the_name(host: &Place, board: &str, avahi: &Avahi) {
             if found { Ok(()) } else { Err(said) }
         });
     }
+}
+
+/// `ferrocnc --json` with these arguments on this host, again while the board is silent.
+fn tool(host: &Place, arguments: &[&str]) -> Json {
+    until("ferrocnc", || {
+        let mut tool = host.command(program("ferrocnc"));
+        tool.arg("--json").args(arguments);
+        let said = run(tool);
+        let why = text(&said.stderr);
+        if said.status.success() {
+            return serde_json::from_str(&text(&said.stdout)).map_err(|e| e.to_string());
+        }
+        assert!(SILENT.iter().any(|it| why.contains(it)), "{why}");
+        Err(why)
+    })
+}
+
+/// The tool is told the board's name instead of its address. It waits for three seconds, which the
+/// Verilated board does not keep on a busy computer.
+fn the_tool(host: &Place) {
+    let described = tool(host, &["describe", LOCAL]);
+    assert_eq!(described["uid"], uid_text(), "{described}");
+}
+
+/// `ferrocnc discover` behind a firewall that lets no broadcast out, and behind one that lets none
+/// in: the name's way is left. Where that is shut, too, the tool finds nothing.
+fn discovered_by_its_name(host: &Place, board: &str) {
+    let firewall = |rule: &str| {
+        let mut iptables = host.command("iptables");
+        iptables.args(rule.split(' '));
+        let said = run(iptables);
+        assert!(said.status.success(), "{rule}: {}", text(&said.stderr));
+    };
+    for chain in ["OUTPUT", "INPUT"] {
+        firewall(&format!("-A {chain} -p udp -d 255.255.255.255 -j DROP"));
+        let found = tool(host, &["discover"]);
+        let here = &found["boards"][0];
+        assert_eq!(here["uid"], uid_text(), "{chain}: {found}");
+        assert_eq!((&here["ip"], &here["name"]), (&json!(board), &json!(NAME)));
+        assert_eq!(here["mac"], mac(), "{found}");
+    }
+    firewall("-A INPUT -p udp --sport 5353 -j DROP");
+    firewall("-D OUTPUT 1");
+    assert_eq!(tool(host, &["discover"]), json!({ "boards": [] }));
+    firewall("-F INPUT");
 }
 
 /// While a host keeps the machine armed the page is busy, and a console answers.
@@ -185,6 +230,8 @@ fn real_clients_are_served_by_the_ip_stack_of_the_twin() {
     };
     all_clients(&folder, &host, &net, 1);
     telnet(&host, &net.board, "characters");
+    the_tool(&host);
+    discovered_by_its_name(&host, &net.board);
 }
 
 /// Some 100 ms are a servo period of 1 kHz for the Verilated board. At 1 ms its CPU does nothing

@@ -62,6 +62,11 @@ pub fn mac() -> String {
     mac.map(|byte| format!("{byte:02x}")).join(":")
 }
 
+/// [`UID`] as the tool writes it.
+pub fn uid_text() -> String {
+    host::uid::uid_text([(UID >> 32) as u32, UID as u32])
+}
+
 pub fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }

@@ -4,7 +4,7 @@ use crate::text::{mac_text, version};
 use anyhow::Result;
 use clap::Args;
 use ferrocnc::address;
-use ferrocnc::discovery::{Finder, Found, WAIT, filters};
+use ferrocnc::discovery::{DiscoveryError, Finder, Found, WAIT, filters};
 use ferrocnc::mdns;
 use ferrocnc::uid::uid_text;
 use serde_json::{Value, json};
@@ -70,22 +70,28 @@ pub(crate) fn run(arguments: &Discover, as_json: bool) -> Result<()> {
     Ok(())
 }
 
-/// The boards that answer the broadcast, and those that announce themselves by multicast DNS and
-/// then answer at their address: some switches and firewalls let only one of both through.
+/// The boards that answer the broadcast, and those that announce themselves by multicast DNS: some
+/// switches and firewalls let only one of both through.
 fn both_ways(finder: &Finder, interface: Option<&str>, wait: Duration) -> Result<Vec<Found>> {
     let (found, adverts) = std::thread::scope(|scope| {
         let asked = scope.spawn(|| mdns::Asker::everywhere(interface)?.boards(wait));
         (finder.all(wait), asked.join())
     });
-    let mut found = found?;
     // Without multicast there is still the broadcast.
     let adverts = adverts.ok().and_then(Result::ok).unwrap_or_default();
+    let mut found = match found {
+        // A firewall that lets no broadcast out is an error of the socket.
+        Err(DiscoveryError::Socket(_)) if !adverts.is_empty() => Vec::new(),
+        found => found?,
+    };
     for advert in adverts {
         if found.iter().any(|known| known.uid == advert.uid) {
             continue;
         }
         let at = SocketAddrV4::new(*advert.socket.ip(), wire::DISCOVERY_PORT);
-        found.extend(Finder::at(at)?.one(advert.uid, wait).ok());
+        let answer = Finder::at(at)?.one(advert.uid, wait).ok();
+        // The answer is a broadcast even then.
+        found.extend(answer.or_else(|| Found::read(advert.socket).ok()));
     }
     Ok(found)
 }
