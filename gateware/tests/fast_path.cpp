@@ -467,22 +467,25 @@ struct Tests : Board {
             CHECK(*this, longest_access <= longest_piece(), "an access took %u clocks", longest_access);
         }
     }
-    // The CPU halts in the middle of an access, in every clock from the frame's end to the end of
-    // its answer, and whatever it accessed: the access falls away, or stays for ever.
-    void halts_in_an_access() {
+    // Clocks from the first byte of a command's preamble to the last byte of its answer: head,
+    // words, FCS, and the answer.
+    unsigned whole_exchange() { return (8 + frame(any(0)).size() + 8 + answer_bytes() + 4) * ETH / SYS + LONGEST; }
+    // The CPU halts in the middle of an access, in every clock of an exchange, and whatever it
+    // accessed: the access falls away, and in every other clock it stays for ever.
+    unsigned halts_in_an_access() {
         const std::pair<uint32_t, bool> accesses[] = {
             {address("ctrl.scratch"), false}, {address("gpio.safe"), true}, {address("status.sample_lo"), false}, {address("fast_path.status"), false},
             {OTHER_TX_SLOT, true},
         };
+        const unsigned to = whole_exchange();
+        unsigned count = 0;
         write("gpio.safe", 0);
-        for (unsigned k = 0; k < 60 + longest_piece(); k++)
+        for (unsigned k = 0; k < to; k++)
             for (const auto &[at, store] : accesses) {
                 if (SHARE > 1 && !random.one_in(SHARE)) continue;
                 const Words words = next();
-                forget(), send(frame(words));
-                while (to_send() > GAP + 30) step();
-                run(k), ask(at, store, 0x123);
-                if (random.one_in(4)) quiet();
+                forget(), send(frame(words)), run(k), ask(at, store, 0x123);
+                if (count++ & 1) quiet();
                 else run(1 + random.below(4));
                 pins->bus_stb = 0;
                 quiet();
@@ -491,6 +494,7 @@ struct Tests : Board {
                 CHECK(*this, !safe || (safe & 0xfff) == 0x123, "gpio.safe is %x", safe);
                 check_slots("the CPU halts in an access", 0);
             }
+        return count;
     }
     // It halts before any of the accesses with which it hands out a pass: executed once if it came
     // to the last one, and then nothing any more.
@@ -532,29 +536,37 @@ struct Tests : Board {
         write("watchdog.timeout", TIMEOUT);
         arm();
     }
-    // A reset takes the pass back, whenever it comes, from outside or from the CPU.
-    unsigned resets() {
-        unsigned count = 0;
-        const unsigned to = (frame(any(0)).size() + 20) * ETH / SYS + longest_piece() + 60;
-        for (unsigned k = random.below(STEP); k < to; k += STEP, count++) {
-            const Words words = next();
-            forget(), send(frame(words)), run(k);
-            const bool by_cpu = random.one_in(2), before = taken;
-            if (by_cpu) write("ctrl.reset", 1);
-            else pins->sys_rst = 1, run(2), pins->sys_rst = 0;
-            const bool meanwhile = taken && by_cpu;  // its access takes some clocks
-            CHECK(*this, !read("fast_path.status"), "status %x behind a reset", read("fast_path.status"));
-            quiet(), run(400), quiet();
-            CHECK(*this, taken == (before || meanwhile) && commits <= taken, "executed behind a reset");
-            release();
-            // The MAC may have been in mid-frame, either way: the next one has the rest in it.
-            send(with_fcs(Bytes(60, 1)));
-            choose(1, 100), start();
-            quiet();
-            release();
-            arm(), open(), exchange();
+    // A reset takes the pass back, whenever it comes: from outside and from the CPU, either in
+    // every clock of an exchange.
+    Outcome resets() {
+        const unsigned to = whole_exchange();
+        Outcome all;
+        for (const bool by_cpu : {false, true}) {
+            Outcome o;
+            for (unsigned k = random.below(STEP); k < to; k += STEP) o.count(executed_before_reset(by_cpu, k));
+            both(by_cpu ? "the CPU resets" : "reset", o);
+            all.done += o.done, all.left += o.left;
         }
-        return count;
+        return all;
+    }
+    bool executed_before_reset(bool by_cpu, unsigned clock) {
+        const Words words = next();
+        forget(), send(frame(words)), run(clock);
+        const bool before = taken;
+        if (by_cpu) write("ctrl.reset", 1);
+        else pins->sys_rst = 1, run(2), pins->sys_rst = 0;
+        const bool meanwhile = taken && by_cpu, executed = before || meanwhile;  // its access takes some clocks
+        CHECK(*this, !read("fast_path.status"), "status %x behind a reset", read("fast_path.status"));
+        quiet(), run(400), quiet();
+        CHECK(*this, taken == executed && commits <= taken, "executed behind a reset");
+        release();
+        // The MAC may have been in mid-frame, either way: the next one has the rest in it.
+        send(with_fcs(Bytes(60, 1)));
+        choose(1, 100), start();
+        quiet();
+        release();
+        arm(), open(), exchange();
+        return executed;
     }
 
     // ---- the cable ------------------------------------------------------------------------------
@@ -616,18 +628,20 @@ struct Tests : Board {
         const Outcome one = cpu_queues(1), two = cpu_queues(2), again = passes_at_once(200);
         CHECK(*this, !one.left, "left behind one frame of the CPU's");
         both("two frames of the CPU's", two), both("a second pass", again);
-        busy_cpu(), halts_in_an_access(), halts_before_a_pass();
+        busy_cpu();
+        const unsigned halted = halts_in_an_access();
+        halts_before_a_pass();
         const Outcome closed = gate_closes(), bitten = bites(), back = revoked();
         revoked_anywhere(), handed_out_too_late();
         wire_stands(), cable();
-        const unsigned reset = resets();
+        const Outcome reset = resets();
         hangs(WHOLE);
         unsigned open = 0;
         const unsigned bits = each_bit(open), executed = random_frames();
         printf("PASS fast_path: %u+%u+%u channels: turnaround %u/%u/%u clocks, %u at 10 Mbit/s; %u kinds of other frames, %u times back to back; "
                "%u bits turned over, %u of them left open; at the frame's end closed, bitten, revoked: executed %u, %u, %u, left %u, %u, %u; "
-               "reset %u times, hung %u times; %llu random frames, %u like the pass, %.1f Mclk in %.1f s, seed %llu\n",
-               stepgens, encoders, pwms, took.front(), took[took.size() / 2], took.back(), slow, kinds, bursts, bits, open, closed.done, bitten.done, back.done, closed.left, bitten.left, back.left, reset, WHOLE,
+               "halted in an access %u times, reset %u times, hung %u times; %llu random frames, %u like the pass, %.1f Mclk in %.1f s, seed %llu\n",
+               stepgens, encoders, pwms, took.front(), took[took.size() / 2], took.back(), slow, kinds, bursts, bits, open, closed.done, bitten.done, back.done, closed.left, bitten.left, back.left, halted, reset.done + reset.left, WHOLE,
                (unsigned long long)frames, executed, clocks / 1e6, double(clock() - began) / CLOCKS_PER_SEC, (unsigned long long)seed);
         return 0;
     }
