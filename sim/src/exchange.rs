@@ -47,6 +47,13 @@ pub fn sequence(payload: &[u8]) -> Option<u32> {
         .flatten()
 }
 
+/// Flags of a command block.
+fn flags(payload: &[u8]) -> Option<u32> {
+    is_request(payload)
+        .then(|| written(payload, command_word::FLAGS))
+        .flatten()
+}
+
 /// The datagram asks for something that a board answers: reads, a probe or an exchange.
 pub fn wants_reply(payload: &[u8]) -> bool {
     let probe = word(payload, 0).is_some_and(|header| header & FLAG_PROBE != 0);
@@ -97,6 +104,9 @@ impl StatusHead {
 struct Pending {
     id: u64,
     sequence: Option<u32>,
+    flags: Option<u32>,
+    /// A host has written something else since the exchange before this one.
+    behind_a_write: bool,
     wire_len: usize,
     /// Times, once it has been fed in full.
     fed: Option<Sent>,
@@ -139,6 +149,12 @@ impl Spread {
     }
 }
 
+/// What an exchange says of the machine: its flags, and the state and the gate in its answer.
+type Machine = (Option<u32>, u32);
+
+/// Bits of a state word: the state and the gate.
+const STATE_AND_GATE: u32 = ((1 << StateWord::SPEED_SHIFT) - 1) | StateWord::ENABLED;
+
 /// Matches replies with requests and keeps the figures of exchanges.
 #[derive(Debug, Default)]
 pub struct Meter {
@@ -147,6 +163,12 @@ pub struct Meter {
     pub turnarounds: Vec<u32>,
     /// The same exchanges from the first byte in to the last byte out, sys clocks.
     pub totals: Vec<u32>,
+    /// Which of them, counted from 1, the firmware cannot foresee: the first, those behind another
+    /// write of a host (session, settings), and those that have other flags than the one before or
+    /// are answered with another state or gate.
+    pub unforeseen: Vec<usize>,
+    last_machine: Option<Machine>,
+    wrote: bool,
     /// Exchanges fed to the board.
     pub requested: u64,
     /// Exchanges answered.
@@ -165,6 +187,8 @@ impl Meter {
     pub fn request(&mut self, id: u64, from: Endpoint, payload: &[u8], wire_len: usize) {
         let sequence = sequence(payload);
         self.requested += u64::from(sequence.is_some());
+        let behind_a_write = sequence.is_some() && core::mem::take(&mut self.wrote);
+        self.wrote |= sequence.is_none() && is_write(payload);
         let list = self.pending.entry(from).or_default();
         if list.len() == Self::REMEMBERED {
             list.remove(0);
@@ -172,6 +196,8 @@ impl Meter {
         list.push(Pending {
             id,
             sequence,
+            flags: flags(payload),
+            behind_a_write,
             wire_len,
             fed: None,
         });
@@ -216,6 +242,11 @@ impl Meter {
         if let Some(head) = request.sequence.and_then(|s| StatusHead::parse(payload, s)) {
             self.turnarounds.push(timing.turnaround as u32);
             self.totals.push(timing.total as u32);
+            let machine = (request.flags, head.state & STATE_AND_GATE);
+            let last = self.last_machine.replace(machine);
+            if request.behind_a_write || last != Some(machine) {
+                self.unforeseen.push(self.turnarounds.len());
+            }
             self.answer(head);
         }
         Some(timing)
@@ -337,6 +368,39 @@ mod tests {
         assert_eq!(timing.turnaround, 100);
         assert_eq!((meter.requested, meter.answered), (2, 1));
         assert_eq!(meter.watchdog_margin, None, "a closed gate has no margin");
+    }
+
+    #[test]
+    fn the_first_exchange_one_behind_settings_and_changes_are_unforeseen() {
+        let mut meter = Meter::default();
+        let gate = StateWord::ENABLED;
+        let link_error = 1 << StateWord::ERRORS_SHIFT;
+        let settings = packet(&[0x4e6f_1044, 0, 0x000f_0100, wire::map::SESSION, 5]);
+        let read = packet(&[0x4e6f_1044, 0, 0x000f_0001, 0, wire::map::COMMAND]);
+        // Before it, its flags, and the state word: frames that the MAC dropped are no change.
+        let exchanges: [(&[&[u8]], u32, u32); 9] = [
+            (&[], 0, 1),
+            (&[&settings, &read], 0, 1),
+            (&[&read], 0, 1),
+            (&[], 1, 1),
+            (&[], 3, 1),
+            (&[], 3, 2),
+            (&[], 3, 2 | gate),
+            (&[], 3, 2 | gate | link_error),
+            (&[], 1, 2 | gate | link_error),
+        ];
+        for (n, (before, flags, state)) in (1..).zip(exchanges) {
+            for other in before {
+                fed(&mut meter, 100, other, 0, 0);
+            }
+            let mut command = request(n);
+            let at = 4 * (OVERHEAD + command_word::FLAGS);
+            command[at..at + 4].copy_from_slice(&u32::to_be_bytes(flags));
+            fed(&mut meter, n.into(), &command, 0, 100);
+            let answer = status(n, state, 0);
+            meter.reply(ME, &answer, (200, 300, 0), |t| t).unwrap();
+        }
+        assert_eq!(meter.unforeseen, [1, 2, 4, 5, 6, 7, 9]);
     }
 
     #[test]

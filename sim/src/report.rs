@@ -99,6 +99,8 @@ pub struct ExchangeReport {
     pub turnaround_cycles: Option<Spread>,
     /// All of them in order.
     pub turnaround_list: Vec<u32>,
+    /// Which of them, counted from 1, are [`Meter::unforeseen`].
+    pub unforeseen: Vec<usize>,
 }
 
 /// The watchdog as reported in the status blocks.
@@ -220,6 +222,7 @@ impl Report {
                     .map(|b| b.refused.values().map(|n| u64::from(*n)).sum()),
                 turnaround_cycles: Spread::of(&meter.turnarounds),
                 turnaround_list: meter.turnarounds.clone(),
+                unforeseen: meter.unforeseen.clone(),
             },
             watchdog: WatchdogReport {
                 margin_min_clocks: margin,

@@ -5,7 +5,8 @@
 
 Reads what run.py left in OUT; writes OUT/path.png, OUT/path.svg and the report, prints a table, and
 fails when the pins disagree with the firmware's counts, an axis does not stand on its step at rest,
-or is further off in motion than the arithmetic of the position loop allows (`allowed`).
+or is further off in motion than the arithmetic of the position loop allows (`allowed`);
+and when an exchange that the firmware could foresee takes the long way.
 """
 
 import argparse
@@ -25,8 +26,10 @@ EDGE = np.dtype([("clock", "<u8"), ("count", "<i4"), ("channel", "u1"), ("forwar
 ROWS_TO_ARRIVAL = 2
 # Clocks from the last byte of a command to the first of its answer, if the gateware answers.
 FAST = 20
-# Those that do not: the first of the session, and the ones that change the machine's state.
+# Those the firmware cannot foresee take the long way: the first of the session, the one behind the
+# settings, and those that change flags, state or gate. How many may be, and their clocks.
 LONG_WAYS = 6
+LONG = 5000
 # samples.csv has six places behind the point, in mm.
 ROUNDING = 0.5e-6
 
@@ -139,8 +142,12 @@ def analyse(samples, edges, simulator, result):
     report["exchange"] = {key: exchange[key] for key in ("turnaround_cycles", "frames_lost", "frames_refused")}
     report["exchange"]["count"] = exchange["answered"]
     report["exchange"]["long_way"] = [
-        {"exchange": n + 1, "cycles": cycles} for n, cycles in enumerate(exchange["turnaround_list"]) if cycles > FAST
+        {"exchange": n, "cycles": cycles, "foreseen": n not in exchange["unforeseen"]}
+        for n, cycles in enumerate(exchange["turnaround_list"], 1)
+        if cycles > FAST
     ]
+    report["exchange"]["long_ways"] = len(report["exchange"]["long_way"])
+    report["exchange"]["unforeseen"] = len(exchange["unforeseen"])
     # The board's own word for the last of them.
     report["exchange"]["long_way_reason"] = simulator["board"]["long_way"] if simulator["board"] else None
     # The margin of the command that armed the board is that of a watchdog still asleep.
@@ -212,7 +219,8 @@ def table(report):
     )
     slow = exchange["long_way"]
     print(
-        f"{exchange['count'] - len(slow)} of them were executed and answered by the gateware alone; through the firmware went "
+        f"{exchange['count'] - len(slow)} of them were executed and answered by the gateware alone; of the {exchange['unforeseen']} "
+        "that the firmware could not foresee, it answered "
         + (", ".join(f"number {way['exchange']} ({way['cycles']} clocks)" for way in slow) or "none")
     )
 
@@ -234,6 +242,12 @@ def verdict(report):
     slow = report["exchange"]["long_way"]
     if len(slow) > LONG_WAYS:
         yield f"{len(slow)} exchanges went through the firmware, more than the {LONG_WAYS} of a session that is taken, enabled and armed"
+    for way in slow:
+        name = f"exchange {way['exchange']} took {way['cycles']} clocks"
+        if way["foreseen"]:
+            yield f"{name}: it is not the first, has no settings before it, and changes neither flags nor state"
+        if way["cycles"] > LONG:
+            yield f"{name}, more than {LONG}"
     if not sum(axis["pulses_total"] for axis in report["axes"]):
         yield "nothing moved"
 
