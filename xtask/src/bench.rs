@@ -3,7 +3,7 @@
 mod host;
 mod stops;
 
-use crate::{build, cargo_tests, faults, python, root, setup, step, target};
+use crate::{build, cargo_tests, faults, passes, python, root, setup, step, target};
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use std::path::Path;
@@ -15,6 +15,9 @@ pub enum What {
     /// The exchange on simulated boards, fast and long way: turnaround in clock cycles, all of
     /// it in microseconds; size of the image.
     Exchange,
+    /// Random frames at a whole board without its processor: only one that is like the pass is
+    /// executed (--frames, --seed).
+    Frames,
     /// LUTs, flip-flops and memories per core and per board, beside the peers'; writes
     /// docs/size.md.
     Gateware,
@@ -46,6 +49,12 @@ pub struct Options {
     /// Loss: how many exchanges.
     #[arg(long, value_name = "N", default_value_t = 1_000_000)]
     exchanges: u64,
+    /// Frames: how many.
+    #[arg(long, value_name = "N", default_value_t = 1_000_000)]
+    frames: u64,
+    /// Frames: the seed of the run.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
     /// Soak: how many hours of the board's time.
     #[arg(long, value_name = "N", default_value_t = 24)]
     hours: u64,
@@ -62,6 +71,7 @@ pub fn run(options: &Options) -> Result<()> {
             let largest = build::simulated_board(build::LARGEST_BOARD)?;
             exchange(&parts, &largest)
         }
+        What::Frames => frames(options.seed, options.frames),
         What::Gateware => gateware(),
         What::Jobs => jobs(),
         What::Loss => faults::measure(
@@ -103,6 +113,23 @@ fn exchange(parts: &build::Parts, largest: &Path) -> Result<()> {
     )?;
     println!("{}", printed.trim_end());
     Ok(())
+}
+
+/// The bench of the fast path with many more random frames than the gate sends.
+fn frames(seed: u64, count: u64) -> Result<()> {
+    setup::run(setup::Need::Everything)?;
+    step::heading("bench: frames");
+    let mut bench = Command::new("bash");
+    bench.args(["gateware/tests/run.sh", "fast_path"]);
+    bench.args([seed.to_string(), count.to_string()]);
+    bench.env("BOARD", build::BOARD);
+    let title = format!("{count} random frames at {}", build::BOARD);
+    let printed = step::run_quietly("bench-frames", &title, "10 min", &mut bench)?;
+    let results: Vec<_> = printed.lines().filter(|l| l.starts_with("PASS")).collect();
+    for line in &results {
+        println!("{line}");
+    }
+    passes::report("frames", &results)
 }
 
 /// The drawing, sent to the Verilated board and started there: figures, and the picture in the
