@@ -196,10 +196,14 @@ impl BoardFacts {
     }
 }
 
-/// Where elaboration puts a board's simulation.
+/// Where elaboration puts a board's simulation: `sim/NAME` in the folder of cargo that this program
+/// lies below. A path of the checkout, compiled in, would make each checkout's packages different.
 fn elaborated(name: &str) -> PathBuf {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent();
-    root.unwrap_or(Path::new(".")).join("target/sim").join(name)
+    let folder = Path::new("sim").join(name);
+    let program = std::env::current_exe().unwrap_or_default();
+    let mut above = program.ancestors().skip(1).map(|at| at.join(&folder));
+    let found = above.find(|at| at.join("board.bin").is_file());
+    found.unwrap_or_else(|| Path::new("target").join(folder))
 }
 
 #[cfg(test)]

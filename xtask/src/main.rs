@@ -6,6 +6,7 @@ mod bitstream;
 mod build;
 mod cargo_tests;
 mod counts;
+mod deb;
 mod demo;
 mod docs;
 mod faults;
@@ -54,6 +55,8 @@ enum Task {
     /// Simulate what nextpnr made of the smallest board beside its RTL: the same pins in every
     /// clock.
     Netlist(netlist::Options),
+    /// Make the Debian packages: tool, LinuxCNC driver, simulator, and the images that are built.
+    Deb,
     /// Measure something and print the figures.
     Bench(bench::Options),
     /// Build the documentation site into target/book, after a check of all links.
@@ -83,6 +86,7 @@ fn main() -> std::process::ExitCode {
         Task::Regen { check } => regen::run(check),
         Task::Bitstream(options) => bitstream::run(&options),
         Task::Netlist(options) => netlist::run(&options),
+        Task::Deb => deb::run(),
         Task::Bench(options) => bench::run(&options),
         Task::Docs => docs::run(),
         Task::Figures(options) => figures::run(&options),

@@ -45,6 +45,14 @@ const PACKAGES: &[(&str, &str)] = &[
         "finds LinuxCNC processes that a crash left behind",
     ),
     ("strace", "counts the driver's system calls for a bench"),
+    (
+        "dpkg-dev",
+        "finds the libraries that our packages depend on",
+    ),
+    (
+        "mmdebstrap",
+        "a fresh Debian, in which our packages are installed",
+    ),
 ];
 
 /// Packages that stand in for `rustup component add rust-src` where rustup's server is out of
@@ -74,6 +82,8 @@ pub enum Need {
     LinuxCnc,
     /// Only the linters: no FPGA tool, no simulator.
     Lint,
+    /// Only what cargo-deb starts.
+    Packages,
 }
 
 /// Installs and finds; says what it found.
@@ -92,6 +102,9 @@ pub fn run(need: Need) -> Result<()> {
             return some_packages(|name| {
                 name.starts_with("linuxcnc") || ["procps", "strace"].contains(&name)
             });
+        }
+        Need::Packages => {
+            return some_packages(|name| name == "dpkg-dev");
         }
         Need::Lint => {
             some_packages(|name| name == "python3-venv")?;
@@ -302,6 +315,11 @@ pub fn svd2rust() -> Result<PathBuf> {
 /// cargo-deny, pinned. It runs for two seconds, so it is built without optimisation.
 pub fn cargo_deny() -> Result<PathBuf> {
     tool_with("cargo-deny", "0.20.2", &["--version"], &["--debug"])
+}
+
+/// cargo-deb, pinned. It compresses some megabytes, so it is built without optimisation.
+pub fn cargo_deb() -> Result<PathBuf> {
+    tool_with("cargo-deb", "3.8.0", &["--version"], &["--debug"])
 }
 
 /// cargo-mutants, pinned: survivors are known by its wording.

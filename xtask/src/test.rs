@@ -1,8 +1,8 @@
 //! The test pyramid, one line per level. Lower levels need Rust only.
 
 use crate::{
-    bitstream, build, cargo_tests, faults, fuzz, lint, netlist as gates, passes, python, regen,
-    setup, slowest, step, target,
+    bitstream, build, cargo_tests, deb, faults, fuzz, lint, netlist as gates, passes, python,
+    regen, setup, slowest, step, target,
 };
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
@@ -61,6 +61,12 @@ enum Level {
     Linuxcnc,
     /// Everything that comes from outside, 8 s of random inputs for each parser.
     Fuzz,
+    /// The Debian packages: what is in them, and the same bytes twice.
+    Packages,
+    /// The same, and they are installed in a fresh Debian 12, where LinuxCNC runs a program on the
+    /// twin, and removed without a trace. Only if it is named: it takes 200 MB of Debian from the
+    /// network.
+    Install,
     /// The smallest configuration as bitstream: every clock met, the release firmware inside, files
     /// the host and an ECP5 take; its routed netlist, simulated, is the RTL clock by clock.
     Bitstream,
@@ -91,6 +97,7 @@ const ALL: &[Level] = &[
     Level::Twin,
     Level::Linuxcnc,
     Level::Fuzz,
+    Level::Packages,
     Level::Bitstream,
 ];
 
@@ -290,6 +297,8 @@ impl Level {
                 | Level::Formal
                 | Level::Core
                 | Level::Fuzz
+                | Level::Packages
+                | Level::Install
         )
     }
 
@@ -310,6 +319,8 @@ impl Level {
             Level::Twin => "twin: real LinuxCNC, our driver, the cores' models",
             Level::Linuxcnc => "linuxcnc: real LinuxCNC, our driver, simulated board",
             Level::Fuzz => "fuzz: random datagrams, frames and files",
+            Level::Packages => "packages: what is in them, the same bytes twice",
+            Level::Install => "install: packages in a fresh Debian, LinuxCNC on the twin",
             Level::Bitstream => "bitstream: clocks met, firmware inside, netlist runs",
         }
     }
@@ -375,6 +386,8 @@ impl Level {
             Level::Linuxcnc => board_tests("linuxcnc", "10 min", "1"),
             // Two at once: as many cores as the smallest machine that runs this has.
             Level::Fuzz => fuzz::fuzz(&fuzz::targets()?, FUZZ, 2),
+            Level::Packages => Ok(deb::check()?.len()),
+            Level::Install => deb::check_installed(),
             Level::Bitstream => {
                 let proven = bitstream::prove()?;
                 for line in &proven {

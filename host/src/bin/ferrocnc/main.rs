@@ -11,6 +11,7 @@ mod discover;
 mod doctor;
 mod findings;
 mod flash;
+mod install_module;
 mod job;
 mod key;
 mod log;
@@ -102,6 +103,9 @@ enum ToolCommand {
     Doctor(doctor::Doctor),
     /// A new bitstream over the network: written, verified, selected for the next power-up.
     Update(update::Update),
+    /// The LinuxCNC driver, put where `loadrt ferrocnc` finds it: in LinuxCNC as installed, or in a
+    /// run-in-place build.
+    InstallModule(install_module::InstallModule),
     /// Flash by JTAG: once in a board's life, then it is updated over the network.
     Flash {
         #[command(subcommand)]
@@ -161,6 +165,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         ToolCommand::Selftest(arguments) => selftest::run(arguments, json),
         ToolCommand::Doctor(arguments) => doctor::run(arguments, json),
         ToolCommand::Update(arguments) => update::run(arguments, json),
+        ToolCommand::InstallModule(arguments) => install_module::run(arguments, json),
         ToolCommand::Flash { what } => flash::run(what, json),
         ToolCommand::Key(command) => key::run(command, json),
         ToolCommand::Console { address, command } => {
