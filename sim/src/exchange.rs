@@ -150,7 +150,7 @@ impl Spread {
 }
 
 /// What an exchange says of the machine: its flags, and the state and the gate in its answer.
-type Machine = (Option<u32>, u32);
+type MachineSaid = (Option<u32>, u32);
 
 /// Bits of a state word: the state and the gate.
 const STATE_AND_GATE: u32 = ((1 << StateWord::SPEED_SHIFT) - 1) | StateWord::ENABLED;
@@ -167,7 +167,7 @@ pub struct Meter {
     /// write of a host (session, settings), and those that have other flags than the one before or
     /// are answered with another state or gate.
     pub unforeseen: Vec<usize>,
-    last_machine: Option<Machine>,
+    last_machine: Option<MachineSaid>,
     wrote: bool,
     /// Exchanges fed to the board.
     pub requested: u64,

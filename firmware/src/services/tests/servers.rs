@@ -34,7 +34,7 @@ const fn party(last: u8) -> Party {
 }
 
 /// A board, and the two servers beside it.
-struct Segment {
+struct LanSegment {
     board: Board,
     /// They answer questions for their addresses.
     there: bool,
@@ -46,14 +46,14 @@ struct Segment {
     looked_for: u32,
 }
 
-impl Segment {
+impl LanSegment {
     fn new() -> Self {
         let settings = Settings {
             syslog: EVENTS.1.to_bits(),
             sntp: TIME.1.to_bits(),
             ..Settings::BUILT_IN
         };
-        Segment {
+        LanSegment {
             board: Board::with_settings(&settings),
             there: true,
             events: Vec::new(),
@@ -160,7 +160,7 @@ impl Segment {
 
 #[test]
 fn an_event_is_a_datagram_of_syslog_and_has_the_date_once_a_server_has_said_the_time() {
-    let mut segment = Segment::new();
+    let mut segment = LanSegment::new();
     segment.wait(5_000);
     // Services that have just started have no name yet.
     let started = "firmware started: reboot requested";
@@ -201,7 +201,7 @@ fn an_event_is_a_datagram_of_syslog_and_has_the_date_once_a_server_has_said_the_
 
 #[test]
 fn the_time_is_asked_for_again_until_it_is_answered_and_then_once_an_hour() {
-    let mut segment = Segment::new();
+    let mut segment = LanSegment::new();
     segment.wait(60_000);
     let [first, second, third] = &segment.questions[..] else {
         panic!("{:?}", segment.questions);
@@ -218,7 +218,7 @@ fn the_time_is_asked_for_again_until_it_is_answered_and_then_once_an_hour() {
 
 #[test]
 fn servers_that_are_not_there_are_looked_for_once_a_second_and_hold_up_no_client() {
-    let mut segment = Segment::new();
+    let mut segment = LanSegment::new();
     segment.there = false;
     segment.wait(20_000);
     assert!(
