@@ -1,0 +1,124 @@
+// crossbar: each sink carries the one source that was written for it, inverted or not, or a
+// constant.
+//
+// The routes are truth tables in LUT RAM: a block holds four sinks as functions of four sources, and
+// a sink is the OR of its blocks. A word written has the routes of four sinks; the core itself
+// makes their tables of it, so that no word can join two sources in a sink. That takes 16 clocks,
+// each of which writes one line of all blocks of these sinks. Lines are written only while `shut`.
+//
+//   clk      _/‾\_/‾\_/‾\_/‾\_  ...  _/‾\_/‾\_/‾\_
+//   shut     ‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾ ... ‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾
+//   we       ____/‾‾‾\_________ ... ______________    refused while not `shut`, or not `idle`
+//   line             | 0 | 1 |  ...   | 14| 15|
+//   idle     ‾‾‾‾‾‾‾‾\_________ ... ___________/‾‾
+//   ready    __________________ ... ___________/‾‾    a word was written, and all lines of the last
+//   sinks    old     | some lines new         | new
+//
+//   a sink's byte of the word
+//   6:0      source; 124 to 127: the constant 0
+//   7        inverts it
+//
+// If `shut` falls between the lines, the rest waits for it, and `ready` stays low. A sink for which
+// no word was written is 0. A source that does not exist gives 0, inverted or not.
+`default_nettype none
+module crossbar #(
+    parameter integer SOURCES = 36,  // this and SINKS: multiples of 4
+    parameter integer SINKS   = 56,
+    // 1: the four `own` bits of each four sinks are sources of these sinks, too, behind all others
+    parameter bit OWN = 1'b1
+) (
+    input  wire                clk,
+    input  wire                shut,
+    input  wire                we,
+    input  wire          [4:0] to,      // four sinks
+    input  wire         [31:0] word,    // the first sink's byte is the lowest
+    input  wire  [SOURCES-1:0] sources,
+    input  wire    [SINKS-1:0] own,
+`ifdef FORMAL  // of four sinks: which; their routes; whether a word came; its lines so far
+    input  wire          [4:0] f_to,
+    input  wire         [31:0] f_routes,
+    input  wire                f_known,
+    input  wire          [4:0] f_lines,
+`endif
+    output wire                idle,
+    output wire                ready,
+    output wire    [SINKS-1:0] sinks
+);
+    localparam integer GROUPS = SOURCES / 4 + 32'(OWN), QUADS = SINKS / 4;
+
+    logic        busy = 1'b0, written = 1'b0;
+    logic  [3:0] line = 4'd0;
+    logic  [4:0] place = 5'd0;
+    logic [31:0] routes = 32'd0;
+
+    assign idle  = ~busy;
+    assign ready = written & ~busy;
+    wire   take  = we & shut & ~busy;
+    wire   next  = busy & shut;
+
+    always_ff @(posedge clk) begin
+        if (take) {place, routes} <= {to, word};
+        if (next) line <= line + 4'd1;
+        busy    <= take | (busy & ~(next & &line));
+        written <= written | (next & &line);
+    end
+
+    // What the line is to hold of each sink, if the block has its source.
+    logic             [3:0] level;
+    logic [4 * GROUPS-1:0] bits;
+    always_comb
+        for (int n = 0; n < 4; n++) begin
+            level[n] = (line[routes[8 * n +: 2]] & ~&routes[8 * n + 2 +: 5]) ^ routes[8 * n + 7];
+            for (int g = 0; g < GROUPS; g++)
+                bits[4 * g + n] = level[n] & (routes[8 * n + 2 +: 5] == 5'(g) | (g == 0 & &routes[8 * n + 2 +: 5]));
+        end
+
+    for (genvar q = 0; q < QUADS; q++) begin : quad
+        wire                   hit = next & (place == 5'(q));
+        wire  [4 * GROUPS-1:0] from;
+        logic [4 * GROUPS-1:0] found;
+        logic            [3:0] joined;
+        if (OWN) assign from = {own[4 * q +: 4], sources};
+        else assign from = sources;
+        for (genvar g = 0; g < GROUPS; g++) begin : block
+            logic [3:0] lines[0:15];
+            initial for (int n = 0; n < 16; n++) lines[n] = 4'd0;
+            always_ff @(posedge clk) if (hit) lines[line] <= bits[4 * g +: 4];
+            assign found[4 * g +: 4] = lines[from[4 * g +: 4]];
+`ifdef FORMAL
+`ifndef BROKEN
+            always_ff @(posedge clk)
+                if (f_to == 5'(q))
+                    for (int l = 0; l < 16; l++) begin
+                        if (~f_known) assert (lines[l] == 4'd0);
+                        else if (~busy | place != f_to | 5'(l) < f_lines)
+                            assert (lines[l] == {f_bits[16 * (4 * g + 3) + l], f_bits[16 * (4 * g + 2) + l], f_bits[16 * (4 * g + 1) + l], f_bits[16 * 4 * g + l]});
+                    end
+`endif
+`endif
+        end
+        always_comb begin
+            joined = 4'd0;
+            for (int g = 0; g < GROUPS; g++) joined = joined | found[4 * g +: 4];
+        end
+        assign sinks[4 * q +: 4] = joined;
+    end
+
+`ifdef FORMAL  // gateware/formal/crossbar.sv has the guarantees; this is their link to the tables
+    logic [64 * GROUPS-1:0] f_bits;  // of each block and sink the 16 lines that its route asks for
+    always_comb
+        for (int g = 0; g < GROUPS; g++)
+            for (int n = 0; n < 4; n++)
+                for (int l = 0; l < 16; l++)
+                    f_bits[16 * (4 * g + n) + l] = f_routes[8 * n +: 7] >= 7'd124 ? g == 0 & f_routes[8 * n + 7]
+                        : f_routes[8 * n + 2 +: 5] == 5'(g) & (l[f_routes[8 * n +: 2]] ^ f_routes[8 * n + 7]);
+`ifndef BROKEN
+    always_ff @(posedge clk) begin
+        if (busy) assert (line == f_lines[3:0]);
+        else assert (line == 4'd0);
+        if (busy & place == f_to) assert (f_known & routes == f_routes);
+    end
+`endif
+`endif
+endmodule
+`default_nettype wire
