@@ -3,7 +3,8 @@
 `default_nettype none
 module crossbar_promises #(
     parameter integer SOURCES = 36,
-    parameter integer SINKS   = 56
+    parameter integer SINKS   = 56,
+    parameter bit LINK = 1'b0
 ) (
     input wire                clk, shut, we,
     input wire          [4:0] to,
@@ -19,7 +20,7 @@ module crossbar_promises #(
     // A word is taken while shut and idle, and takes 16 clocks in which it is shut.
     logic       f_busy = 1'b0, f_any = 1'b0;
     logic [4:0] f_lines = 5'd16;
-    crossbar #(.SOURCES(SOURCES), .SINKS(SINKS)) core (.*);
+    crossbar #(.SOURCES(SOURCES), .SINKS(SINKS), .LINK(LINK)) core (.*);
 
     always_ff @(posedge clk) begin
         if (shut & f_busy) begin

@@ -26,6 +26,9 @@ module crossbar #(
     parameter integer SINKS   = 56,
     // 1: the four `own` bits of each four sinks are sources of these sinks, too, behind all others
     parameter bit OWN = 1'b1
+`ifdef FORMAL
+    , parameter bit LINK = 1'b0  // 1: the tables are proven, too; so that induction needs one step
+`endif
 ) (
     input  wire                clk,
     input  wire                shut,
@@ -87,13 +90,18 @@ module crossbar #(
             assign found[4 * g +: 4] = lines[from[4 * g +: 4]];
 `ifdef FORMAL
 `ifndef BROKEN
-            always_ff @(posedge clk)
-                if (f_to == 5'(q))
-                    for (int l = 0; l < 16; l++) begin
-                        if (~f_known) assert (lines[l] == 4'd0);
-                        else if (~busy | place != f_to | 5'(l) < f_lines)
-                            assert (lines[l] == {f_bits[16 * (4 * g + 3) + l], f_bits[16 * (4 * g + 2) + l], f_bits[16 * (4 * g + 1) + l], f_bits[16 * 4 * g + l]});
-                    end
+            if (LINK) begin : link
+                for (genvar l = 0; l < 16; l++) begin : each
+                    wire [3:0] wanted;
+                    for (genvar n = 0; n < 4; n++)
+                        assign wanted[n] = f_block[n] == 5'(g) & f_table[16 * n + l];
+                    always_ff @(posedge clk)
+                        if (f_to == 5'(q)) begin
+                            if (~f_known) assert (lines[l] == 4'd0);
+                            else if (~busy | place != f_to | 5'(l) < f_lines) assert (lines[l] == wanted);
+                        end
+                end
+            end
 `endif
 `endif
         end
@@ -105,15 +113,17 @@ module crossbar #(
     end
 
 `ifdef FORMAL  // gateware/formal/crossbar.sv has the guarantees; this is their link to the tables
-    logic [64 * GROUPS-1:0] f_bits;  // of each block and sink the 16 lines that its route asks for
-    always_comb
-        for (int g = 0; g < GROUPS; g++)
-            for (int n = 0; n < 4; n++)
-                for (int l = 0; l < 16; l++)
-                    f_bits[16 * (4 * g + n) + l] = f_routes[8 * n +: 7] >= 7'd124 ? g == 0 & f_routes[8 * n + 7]
-                        : f_routes[8 * n + 2 +: 5] == 5'(g) & (l[f_routes[8 * n +: 2]] ^ f_routes[8 * n + 7]);
+    // of each sink its one block that is not 0, and the 16 lines there
+    logic  [4:0] f_block[0:3];
+    logic [63:0] f_table;
+    localparam [63:0] F_LINES = 64'hff00_f0f0_cccc_aaaa;
+    for (genvar n = 0; n < 4; n++) begin : f_sink
+        wire f_constant = f_routes[8 * n +: 7] >= 7'd124;
+        assign f_block[n] = f_constant ? 5'd0 : f_routes[8 * n + 2 +: 5];
+        assign f_table[16 * n +: 16] = {16{f_routes[8 * n + 7]}} ^ (f_constant ? 16'd0 : F_LINES[16 * f_routes[8 * n +: 2] +: 16]);
+    end
 `ifndef BROKEN
-    always_ff @(posedge clk) begin
+    always_ff @(posedge clk) if (LINK) begin
         if (busy) assert (line == f_lines[3:0]);
         else assert (line == 4'd0);
         if (busy & place == f_to) assert (f_known & routes == f_routes);

@@ -20,6 +20,9 @@ module pinmux_in #(
     input  wire        [4:0] at,
     input  wire       [31:0] word,     // routes of four inputs (crossbar.sv); a source is a pin
     input  wire   [PINS-1:0] pins,     // asynchronous
+`ifdef FORMAL
+    output wire   [PINS-1:0] formal_meta,
+`endif
     output wire              idle,
     output logic             refused,  // the last word had no effect
     output wire              ready,
@@ -28,6 +31,9 @@ module pinmux_in #(
 );
     (* keep *) logic [PINS-1:0] meta = '0;
     initial {refused, levels} = '0;
+`ifdef FORMAL
+    assign formal_meta = meta;
+`endif
 
     always_ff @(posedge clk) begin
         {levels, meta} <= {meta, pins};

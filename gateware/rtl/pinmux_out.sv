@@ -37,6 +37,10 @@ module pinmux_out #(
     input  wire         [31:0] word,
     input  wire  [SOURCES-1:0] sources,
     input  wire     [PINS-1:0] own,      // each pin's own GPIO bit; a pin can carry those of its four
+`ifdef FORMAL
+    output wire                formal_shut, formal_we, formal_ready, formal_opened,
+    output wire     [PINS-1:0] formal_sinks, formal_safe, formal_keeps,
+`endif
     output wire                idle,
     output logic               refused,  // the last word had no effect
     output logic               live,
@@ -55,6 +59,11 @@ module pinmux_out #(
     crossbar #(.SOURCES(SOURCES), .SINKS(PINS)) routes (
         .clk(clk), .shut(shut), .we(taken & ~at[5]), .to(at[4:0]), .word(word), .sources(sources), .own(own),
         .idle(idle), .ready(ready), .sinks(sinks));
+
+`ifdef FORMAL
+    assign {formal_shut, formal_we, formal_ready, formal_opened} = {shut, taken & ~at[5], ready, opened};
+    assign {formal_sinks, formal_safe, formal_keeps} = {sinks, safe[PINS-1:0], keeps[PINS-1:0]};
+`endif
 
     assign drives = driving[PINS-1:0];
 
