@@ -1,10 +1,10 @@
 // crossbar: each sink carries the one source that was written for it, inverted or not, or a
 // constant.
 //
-// The routes are truth tables in LUT RAM: a block holds four sinks as functions of four sources, and
-// a sink is the OR of its blocks. A word written has the routes of four sinks; the core itself
+// The routes are truth tables in LUT RAM (truth_table.sv), four sinks by four sources; a sink is the
+// OR of its tables. A word written has the routes of four sinks; the core itself
 // makes their tables of it, so that no word can join two sources in a sink. That takes 16 clocks,
-// each of which writes one line of all blocks of these sinks. Lines are written only while `shut`.
+// each of which writes one line of all tables of these sinks. Lines are written only while `shut`.
 //
 //   clk      _/‾\_/‾\_/‾\_/‾\_  ...  _/‾\_/‾\_/‾\_
 //   shut     ‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾ ... ‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾
@@ -67,60 +67,51 @@ module crossbar #(
     end
 
     // What the line is to hold of each sink, if the block has its source.
-    logic             [3:0] level;
-    logic [4 * GROUPS-1:0] bits;
-    always_comb
-        for (int n = 0; n < 4; n++) begin
-            level[n] = (line[routes[8 * n +: 2]] & ~&routes[8 * n + 2 +: 5]) ^ routes[8 * n + 7];
-            for (int g = 0; g < GROUPS; g++)
-                bits[4 * g + n] = level[n] & (routes[8 * n + 2 +: 5] == 5'(g) | (g == 0 & &routes[8 * n + 2 +: 5]));
+    wire [3:0] level;
+    wire [3:0] constant;
+    for (genvar n = 0; n < 4; n++) begin : sink
+        assign constant[n] = &routes[8 * n + 2 +: 5];
+        assign level[n]    = (line[routes[8 * n +: 2]] & ~constant[n]) ^ routes[8 * n + 7];
+    end
+    wire [4 * GROUPS-1:0] bits;
+    for (genvar g = 0; g < GROUPS; g++) begin : group
+        for (genvar n = 0; n < 4; n++) begin : sink
+            assign bits[4 * g + n] = level[n] & (routes[8 * n + 2 +: 5] == 5'(g) | (g == 0 & constant[n]));
         end
+    end
 
     for (genvar q = 0; q < QUADS; q++) begin : quad
-        wire                   hit = next & (place == 5'(q));
-        wire  [4 * GROUPS-1:0] from;
-        logic [4 * GROUPS-1:0] found;
-        logic            [3:0] joined;
+        wire                  hit = next & (place == 5'(q));
+        wire [4 * GROUPS-1:0] from;
+        wire [4 * GROUPS-1:0] found;  // of each sink what every block says
         if (OWN) assign from = {own[4 * q +: 4], sources};
         else assign from = sources;
-        for (genvar g = 0; g < GROUPS; g++) begin : block
-            logic [3:0] lines[0:15];
-            initial for (int n = 0; n < 16; n++) lines[n] = 4'd0;
-            always_ff @(posedge clk) if (hit) lines[line] <= bits[4 * g +: 4];
-            assign found[4 * g +: 4] = lines[from[4 * g +: 4]];
+        for (genvar g = 0; g < GROUPS; g++) begin : group
+            wire [3:0] says;
+            assign {found[3 * GROUPS + g], found[2 * GROUPS + g], found[GROUPS + g], found[g]} = says;
+            truth_table block (
+                .clk(clk), .we(hit), .line(line), .bits(bits[4 * g +: 4]),
 `ifdef FORMAL
-`ifndef BROKEN
-            if (LINK) begin : link
-                for (genvar l = 0; l < 16; l++) begin : each
-                    wire [3:0] wanted;
-                    for (genvar n = 0; n < 4; n++)
-                        assign wanted[n] = f_block[n] == 5'(g) & f_table[16 * n + l];
-                    always_ff @(posedge clk)
-                        if (f_to == 5'(q)) begin
-                            if (~f_known) assert (lines[l] == 4'd0);
-                            else if (~busy | place != f_to | 5'(l) < f_lines) assert (lines[l] == wanted);
-                        end
-                end
-            end
+                .f_wanted(f_wanted[64 * g +: 64]), .f_below(LINK & f_to == 5'(q) ? f_below : 5'd0),
 `endif
-`endif
+                .sources(from[4 * g +: 4]), .sinks(says));
         end
-        always_comb begin
-            joined = 4'd0;
-            for (int g = 0; g < GROUPS; g++) joined = joined | found[4 * g +: 4];
+        for (genvar n = 0; n < 4; n++) begin : sink
+            assign sinks[4 * q + n] = |found[GROUPS * n +: GROUPS];
         end
-        assign sinks[4 * q +: 4] = joined;
     end
 
 `ifdef FORMAL  // gateware/formal/crossbar.sv has the guarantees; this is their link to the tables
-    // of each sink its one block that is not 0, and the 16 lines there
-    logic  [4:0] f_block[0:3];
-    logic [63:0] f_table;
     localparam [63:0] F_LINES = 64'hff00_f0f0_cccc_aaaa;
-    for (genvar n = 0; n < 4; n++) begin : f_sink
-        wire f_constant = f_routes[8 * n +: 7] >= 7'd124;
-        assign f_block[n] = f_constant ? 5'd0 : f_routes[8 * n + 2 +: 5];
-        assign f_table[16 * n +: 16] = {16{f_routes[8 * n + 7]}} ^ (f_constant ? 16'd0 : F_LINES[16 * f_routes[8 * n +: 2] +: 16]);
+    wire [64 * GROUPS-1:0] f_wanted;
+    wire             [4:0] f_below = ~busy | place != f_to ? 5'd16 : f_lines;
+    for (genvar g = 0; g < GROUPS; g++) begin : f_group
+        for (genvar n = 0; n < 4; n++) begin : f_sink
+            assign f_wanted[64 * g + 16 * n +: 16] = ~f_known ? 16'd0
+                : f_routes[8 * n +: 7] >= 7'd124 ? {16{g == 0 & f_routes[8 * n + 7]}}
+                : f_routes[8 * n + 2 +: 5] != 5'(g) ? 16'd0
+                : {16{f_routes[8 * n + 7]}} ^ F_LINES[16 * f_routes[8 * n +: 2] +: 16];
+        end
     end
 `ifndef BROKEN
     always_ff @(posedge clk) if (LINK) begin
