@@ -80,12 +80,16 @@ module crossbar #(
         end
     end
 
+    wire unused = &{1'b0, own};
     for (genvar q = 0; q < QUADS; q++) begin : quad
         wire                  hit = next & (place == 5'(q));
         wire [4 * GROUPS-1:0] from;
         wire [4 * GROUPS-1:0] found;  // of each sink what every block says
-        if (OWN) assign from = {own[4 * q +: 4], sources};
-        else assign from = sources;
+        if (OWN) begin : with_own
+            assign from = {own[4 * q +: 4], sources};
+        end else begin : without
+            assign from = sources;
+        end
         for (genvar g = 0; g < GROUPS; g++) begin : group
             wire [3:0] says;
             assign {found[3 * GROUPS + g], found[2 * GROUPS + g], found[GROUPS + g], found[g]} = says;

@@ -40,7 +40,7 @@ module pinmux_in #(
         if (we) refused <= ~(~gate & idle);
     end
 
-    crossbar #(.SOURCES(PINS), .SINKS(SINKS), .OWN(1'b0)) routes (
+    crossbar #(.SOURCES(PINS), .SINKS(SINKS), .OWN(1'b0)) joins (
         .clk(clk), .shut(~gate), .we(we), .to(at), .word(word), .sources(levels), .own('0),
         .idle(idle), .ready(ready), .sinks(sinks));
 endmodule

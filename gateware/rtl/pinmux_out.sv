@@ -45,39 +45,36 @@ module pinmux_out #(
     output logic               refused,  // the last word had no effect
     output logic               live,
     output logic    [PINS-1:0] levels,
-    output wire     [PINS-1:0] drives
+    output logic    [PINS-1:0] drives
 );
-    logic [127:0] safe = 128'd0, keeps = 128'd0, driving = 128'd0;
-    logic         opened = 1'b0;  // live since the last word
-    initial {refused, live, levels} = '0;
+    logic [PINS-1:0] safe = '0, keeps = '0;
+    logic            opened = 1'b0;  // live since the last word
+    initial {refused, live, levels, drives} = '0;
 
     wire            ready;
     wire [PINS-1:0] sinks;
     wire            shut  = ~gate & ~live;
     wire            taken = we & shut & idle;
 
-    crossbar #(.SOURCES(SOURCES), .SINKS(PINS)) routes (
+    crossbar #(.SOURCES(SOURCES), .SINKS(PINS)) joins (
         .clk(clk), .shut(shut), .we(taken & ~at[5]), .to(at[4:0]), .word(word), .sources(sources), .own(own),
         .idle(idle), .ready(ready), .sinks(sinks));
 
 `ifdef FORMAL
     assign {formal_shut, formal_we, formal_ready, formal_opened} = {shut, taken & ~at[5], ready, opened};
-    assign {formal_sinks, formal_safe, formal_keeps} = {sinks, safe[PINS-1:0], keeps[PINS-1:0]};
+    assign {formal_sinks, formal_safe, formal_keeps} = {sinks, safe, keeps};
 `endif
-
-    assign drives = driving[PINS-1:0];
 
     always_ff @(posedge clk) begin
         live   <= gate & ready & inputs_ready;
         opened <= live | (opened & ~taken);
-        levels <= ({PINS{live}} & sinks)
-            | ({PINS{~live}} & ((keeps[PINS-1:0] & {PINS{opened}} & levels) | (safe[PINS-1:0] & ~(keeps[PINS-1:0] & {PINS{opened}}))));
+        levels <= live ? sinks : (keeps & {PINS{opened}} & levels) | (safe & ~(keeps & {PINS{opened}}));
         if (we) refused <= ~taken;
-        for (int n = 0; n < 4; n++)
-            if (taken & at[5] & at[1:0] == 2'(n)) begin
-                if (at[4:2] == 3'd0) safe[32 * n +: 32] <= word;
-                if (at[4:2] == 3'd1) keeps[32 * n +: 32] <= word;
-                if (at[4:2] == 3'd2) driving[32 * n +: 32] <= word;
+        for (int p = 0; p < PINS; p++)
+            if (taken & at[5] & at[1:0] == 2'(p / 32)) begin
+                if (at[4:2] == 3'd0) safe[p] <= word[p % 32];
+                if (at[4:2] == 3'd1) keeps[p] <= word[p % 32];
+                if (at[4:2] == 3'd2) drives[p] <= word[p % 32];
             end
     end
 endmodule

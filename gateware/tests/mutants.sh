@@ -93,7 +93,7 @@ mutant pinmux crossbar "a source of the next group"     's/== 5.\(g\) \| \(g == 
 mutant pinmux crossbar "a line is left out"             's/if \(next\) line <= line \+ 4.d1/if (next) line <= line + 4'"'"'d1 + {3'"'"'d0, line == 4'"'"'d5}/'
 mutant pinmux crossbar "ready in the middle of a word"  's/ready = written & ~busy/ready = written/'
 mutant pinmux pinmux_out "written with the gate open"   's/shut  = ~gate & ~live/shut  = 1'"'"'b1/'
-mutant pinmux pinmux_out "live with the gate"           's/\{PINS\{live\}\} & sinks/{PINS{gate}} \& sinks/'
+mutant pinmux pinmux_out "live with the gate"           's/levels <= live \? /levels <= gate ? /'
 mutant pinmux pinmux_out "keeps from power-up"          's/opened <= live \| \(opened & ~taken\)/opened <= 1'"'"'b1/'
 mutant pinmux pinmux_in "an input with the gate open"   's/shut\(~gate\)/shut(1'"'"'b1)/'
 mutant watchdog watchdog "armed over an e-stop"         's/ & ~estop_latched & ~pins/ \& ~pins/'
