@@ -1,5 +1,5 @@
-// The guarantees of the crossbar, of any four sinks, at the size of a board with 56 pins: the routes
-// that were written for them last are said by their bytes, without a table.
+// The guarantees of the crossbar, of any four sinks: the routes that were written for them last are
+// said by their bytes, without a table. The defaults are a board with 56 pins.
 `default_nettype none
 module crossbar_promises #(
     parameter integer SOURCES = 36,

@@ -1,10 +1,10 @@
 // crossbar: each sink carries the one source that was written for it, inverted or not, or a
 // constant.
 //
-// The routes are truth tables in LUT RAM (truth_table.sv), four sinks by four sources; a sink is the
-// OR of its tables. A word written has the routes of four sinks; the core itself
-// makes their tables of it, so that no word can join two sources in a sink. That takes 16 clocks,
-// each of which writes one line of all tables of these sinks. Lines are written only while `shut`.
+// The routes are truth tables in LUT RAM (truth_table.sv), four sinks by four sources; a sink is
+// the OR of its tables. A word has the routes of four sinks; the core itself makes their tables of
+// it, so that no word can join two sources in a sink. That takes 16 clocks, each of which writes
+// one line of all tables of these sinks. Lines are written only while `shut`.
 //
 //   clk      _/‾\_/‾\_/‾\_/‾\_  ...  _/‾\_/‾\_/‾\_
 //   shut     ‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾ ... ‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾
@@ -66,7 +66,7 @@ module crossbar #(
         written <= written | (next & &line);
     end
 
-    // What the line is to hold of each sink, if the block has its source.
+    // What the line is to hold of each sink, if the table has its source.
     wire [3:0] level;
     wire [3:0] constant;
     for (genvar n = 0; n < 4; n++) begin : sink
@@ -84,7 +84,7 @@ module crossbar #(
     for (genvar q = 0; q < QUADS; q++) begin : quad
         wire                  hit = next & (place == 5'(q));
         wire [4 * GROUPS-1:0] from;
-        wire [4 * GROUPS-1:0] found;  // of each sink what every block says
+        wire [4 * GROUPS-1:0] found;  // of each sink what every table says
         if (OWN) begin : with_own
             assign from = {own[4 * q +: 4], sources};
         end else begin : without

@@ -36,7 +36,7 @@ module pinmux_out #(
     input  wire          [5:0] at,
     input  wire         [31:0] word,
     input  wire  [SOURCES-1:0] sources,
-    input  wire     [PINS-1:0] own,      // each pin's own GPIO bit; a pin can carry those of its four
+    input  wire     [PINS-1:0] own,      // GPIO bits; a pin can carry those of its four pins
 `ifdef FORMAL
     output wire                formal_shut, formal_we, formal_ready, formal_opened,
     output wire     [PINS-1:0] formal_sinks, formal_safe, formal_keeps,

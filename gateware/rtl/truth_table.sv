@@ -1,4 +1,5 @@
-// truth_table: four sinks as any functions of four sources, in LUT RAM; a block of the crossbar.
+// truth_table: four sinks as any functions of four sources, in LUT RAM. The crossbar is made of
+// such tables.
 //
 //   clk      _/‾\_/‾\_/‾\_/‾\_
 //   we       ____/‾‾‾\________    `line` holds `bits` a clock later
