@@ -118,7 +118,7 @@ module crossbar #(
         end
     end
 `ifndef BROKEN
-    always_ff @(posedge clk) if (LINK) begin
+    always_ff @(posedge clk) begin
         if (busy) assert (line == f_lines[3:0]);
         else assert (line == 4'd0);
         if (busy & place == f_to) assert (f_known & routes == f_routes);
