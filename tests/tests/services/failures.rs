@@ -45,6 +45,8 @@ const OVERFLOW: [u32; 4] = [
     0x0011_2023, // sw ra, 0(sp)
     0xff9f_f0ef, // jal 1b
 ];
+/// `csrci mstatus, 8`
+const NO_INTERRUPTS: u32 = 0x3004_7073;
 /// `lw t0, 1(zero)`
 const MISALIGNED: u32 = 0x0010_2283;
 /// `lui sp, 0x12345`: where there is no memory.
@@ -156,21 +158,20 @@ fn off_course(command: &Command, axis: usize, past: &Status, now: &Status) -> f6
     made - f64::from(command.stepgen[axis].0.0) * clocks / 2f64.powi(32)
 }
 
+/// Code that loads a number into a register.
+fn load(register: u32, value: u32) -> [u32; 2] {
+    [
+        value.wrapping_add(0x800) & !0xfff | register << 7 | 0x37, // lui
+        (value & 0xfff) << 20 | register << 15 | register << 7 | 0x13, // addi
+    ]
+}
+
 /// Code that stores a word.
 fn store(at: u32, word: u32) -> [u32; 5] {
     const T0: u32 = 5;
     const T1: u32 = 6;
-    let upper =
-        |register: u32, value: u32| value.wrapping_add(0x800) & !0xfff | register << 7 | 0x37;
-    let lower =
-        |register: u32, value: u32| (value & 0xfff) << 20 | register << 15 | register << 7 | 0x13;
-    [
-        upper(T0, word),
-        lower(T0, word),
-        upper(T1, at),
-        lower(T1, at),
-        T0 << 20 | T1 << 15 | 2 << 12 | 0x23, // sw t0, 0(t1)
-    ]
+    let ([a, b], [c, d]) = (load(T0, word), load(T1, at));
+    [a, b, c, d, T0 << 20 | T1 << 15 | 2 << 12 | 0x23] // sw t0, 0(t1)
 }
 
 /// Stores of broken services, then a loop: it is the guard that ends them, long before the leash.
@@ -190,10 +191,7 @@ fn jump(from: &str, to: &str) -> u32 {
 /// Code in a call with a frame that asks the ROM for something, with its stack here.
 fn asks_on(stack: u32) -> Vec<u32> {
     const SP: u32 = 2;
-    let upper = stack.wrapping_add(0x800) & !0xfff | SP << 7 | 0x37;
-    let lower = (stack & 0xfff) << 20 | SP << 15 | SP << 7 | 0x13;
-    let asks = ASKS_FOR_EVER[4..].to_vec();
-    [vec![upper, lower], asks].concat()
+    [&load(SP, stack)[..], &ASKS_FOR_EVER[4..]].concat()
 }
 
 #[test]
@@ -326,10 +324,10 @@ fn a_wild_store_of_the_services_does_not_reach_the_roms_memory() {
 fn services_that_store_wildly_with_interrupts_off_are_ended_when_they_return() {
     let control = address(watchdog::BASE, watchdog::CONTROL);
     let mut code = vec![
-        0x0005_9663, // bnez a1, 1f
+        0x0005_9663, // bnez a1, to behind `ret`
         0x0000_0513, // li a0, 0
         0x0000_8067, // ret
-        0x3004_7073, // 1: csrci mstatus, 8
+        NO_INTERRUPTS,
     ];
     code.extend(store(control, watchdog::CONTROL_KEY_STOP));
     code.extend([0x0000_0513, 0x0000_8067]); // li a0, 0; ret
@@ -340,7 +338,6 @@ fn services_that_store_wildly_with_interrupts_off_are_ended_when_they_return() {
 /// What nothing in the processor ends is what the watchdog is for.
 #[test]
 fn services_that_loop_with_interrupts_off_stop_the_machine_when_the_watchdog_bites() {
-    const NO_INTERRUPTS: u32 = 0x3004_7073; // csrci mstatus, 8
     let program = small(&program(), &[NO_INTERRUPTS, FOR_EVER]);
     let mut machine = BenchMachine::boot(setup(&program));
     let mut command = moving(&mut machine);

@@ -1,8 +1,8 @@
 //! What the package `ferrocnc-images` takes of `target/bitstream`: one folder per board file that
 //! `cargo xtask bitstream` has built, and SHA-256 sums of all.
 
-use crate::{root, tree};
-use anyhow::{Context, Result, bail};
+use crate::{root, setup, tree};
+use anyhow::{Context, Result};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -65,20 +65,10 @@ pub fn gather(from: &Path, to: &Path) -> Result<Gathered> {
 }
 
 /// `sha256sum` of every file, by its name below the folder.
-fn sums(folder: &Path) -> Result<Vec<u8>> {
+fn sums(folder: &Path) -> Result<String> {
     let mut sum = Command::new("sha256sum");
-    let said = sum
-        .current_dir(folder)
-        .args(tree::files(folder)?)
-        .output()
-        .context("cannot start sha256sum")?;
-    if !said.status.success() {
-        bail!(
-            "sha256sum failed: {}",
-            String::from_utf8_lossy(&said.stderr)
-        );
-    }
-    Ok(said.stdout)
+    sum.current_dir(folder).args(tree::files(folder)?);
+    setup::output(&mut sum).context("sha256sum failed")
 }
 
 #[cfg(test)]
