@@ -1,6 +1,6 @@
 //! Kernel, LinuxCNC, its rights, the module.
 
-use super::system::System;
+use super::system::{Rights, System};
 use crate::finding::Finding;
 
 /// Where LinuxCNC's packages have what runs in real time.
@@ -108,17 +108,10 @@ fn rights(system: &System<'_>) -> Finding {
             "in a run-in-place build: sudo make setuid",
         );
     }
-    if system.is_setuid_root(RTAPI_APP) {
-        return Finding::good(check, "root's");
-    }
-    let capabilities = system
-        .print("getcap", &["/usr/bin/rtapi_app"])
-        .unwrap_or_default();
-    if ["cap_sys_nice", "cap_ipc_lock"]
-        .iter()
-        .all(|it| capabilities.contains(it))
-    {
-        return Finding::good(check, "as capabilities");
+    match system.rights(RTAPI_APP) {
+        Rights::Root => return Finding::good(check, "root's"),
+        Rights::Capabilities => return Finding::good(check, "as capabilities"),
+        Rights::User => {}
     }
     Finding::bad(
         check,

@@ -8,6 +8,20 @@ use std::process::Command;
 /// Runs a program; what it prints, `None` if it is not there.
 pub type Run<'s> = dyn Fn(&str, &[&str]) -> Option<String> + 's;
 
+/// The capabilities of a real-time program: a priority, and memory that stays where it is.
+const REALTIME: [&str; 2] = ["cap_sys_nice", "cap_ipc_lock"];
+
+/// With whose rights a program runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rights {
+    /// Root's: the file says so.
+    Root,
+    /// Those of the user, and what a real-time program needs besides.
+    Capabilities,
+    /// Those of the user.
+    User,
+}
+
 /// A computer.
 pub struct System<'s> {
     /// `/`, or a made-up one.
@@ -72,10 +86,19 @@ impl System<'_> {
         Some(to.to_string_lossy().into_owned())
     }
 
-    /// Does the file run with root's rights?
-    pub fn is_setuid_root(&self, path: &str) -> bool {
-        let found = std::fs::metadata(self.root.join(path));
-        found.is_ok_and(|it| it.mode() & 0o4000 != 0 && it.uid() == self.root_uid)
+    /// What a program may that a user may not, if it is a real-time one.
+    pub fn rights(&self, program: &str) -> Rights {
+        let file = self.root.join(program);
+        let found = std::fs::metadata(&file);
+        if found.is_ok_and(|it| it.mode() & 0o4000 != 0 && it.uid() == self.root_uid) {
+            return Rights::Root;
+        }
+        let said = self.print("getcap", &[&file.to_string_lossy()]);
+        let said = said.unwrap_or_default();
+        match REALTIME.iter().all(|capability| said.contains(capability)) {
+            true => Rights::Capabilities,
+            false => Rights::User,
+        }
     }
 
     /// What a program prints.

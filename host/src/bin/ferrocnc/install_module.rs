@@ -4,7 +4,7 @@
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use ferrocnc::doctor::system::System;
+use ferrocnc::doctor::system::{Rights, System};
 use serde_json::json;
 use std::fs;
 use std::io::ErrorKind;
@@ -124,10 +124,5 @@ fn has_rights(rip: &Path) -> bool {
         root: rip.to_owned(),
         ..System::real()
     };
-    let program = "bin/rtapi_app";
-    let named = rip.join(program).display().to_string();
-    system.is_setuid_root(program)
-        || system
-            .print("getcap", &[&named])
-            .is_some_and(|said| said.contains("cap_sys_nice"))
+    system.rights("bin/rtapi_app") != Rights::User
 }
