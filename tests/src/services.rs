@@ -1,10 +1,11 @@
 //! Programs for the SDRAM that fail: the services of the build with other code in a function, and
 //! an SDRAM that does not keep them.
 
-use crate::{BenchMachine, parts};
+use crate::{BenchMachine, flash, parts};
 use rand::Rng;
 use rand_pcg::Pcg64Mcg;
 use std::ops::Range;
+use std::path::PathBuf;
 use wire::crc::crc32_words;
 use wire::refusal::COUNTERS_CALLS;
 use wire::regmap::SDRAM_BASE;
@@ -12,10 +13,18 @@ use wire::regmap::SDRAM_BASE;
 /// Bytes of [`beginning`] before its end: more than one piece of the ROM's, and a part of one.
 const BEGINNING: usize = 3_800;
 
+/// What this program of the build was before it was packed.
+pub fn elf(program: &[u8]) -> PathBuf {
+    let name = match program.len() == flash::program_without_jobs().len() {
+        true => "ferrocnc-services-without-jobs.elf",
+        false => "ferrocnc-services.elf",
+    };
+    parts().1.with_file_name(name)
+}
+
 /// The program with this code at the beginning of the first function with `part` in its name.
 pub fn broken(mut program: Vec<u8>, part: &str, code: &[u32]) -> Vec<u8> {
-    let elf = parts().1.with_file_name("ferrocnc-services.elf");
-    let (start, end) = crate::symbol(&elf, part);
+    let (start, end) = crate::symbol(&elf(&program), part);
     let bytes: Vec<u8> = code.iter().flat_map(|word| word.to_le_bytes()).collect();
     assert!(bytes.len() <= end - start, "{part} is too short for this");
     let at = start - SDRAM_BASE;
@@ -108,7 +117,7 @@ impl Part {
                 Vec::from([all])
             }
             Part::Data => {
-                let elf = parts().1.with_file_name("ferrocnc-services.elf");
+                let elf = elf(program);
                 let end = crate::place(&elf, "__services_bss_end");
                 let top = crate::place(&elf, "__services_stack");
                 vec![fixed_end / 4..word(end), word(top - STACK)..word(top)]

@@ -53,10 +53,14 @@ pub fn setup(behind: &[u8]) -> Setup {
     preloaded(trailer, |layout| layout.slot_a, behind)
 }
 
-/// The board of most tests with the services in its flash. To load them takes half a minute of a
-/// core, so most tests do without.
+/// The board of most tests with the services in its flash. To load them takes a quarter of a minute
+/// of a core, with jobs half of one, so most tests do without.
 pub fn mill() -> Setup {
-    let mut setup = setup(&program_without_jobs());
+    without_jobs(setup(&program_without_jobs()))
+}
+
+/// The same flash on a board without jobs.
+pub fn without_jobs(mut setup: Setup) -> Setup {
     (setup.soc_dir, _) = parts();
     setup
 }

@@ -5,7 +5,9 @@
 use ferrocnc_tests::bench::Bench;
 use ferrocnc_tests::flash::{self, Boots};
 use ferrocnc_tests::services::{beginning, sealed};
-use ferrocnc_tests::wired::{golden, on_flash, program, setup};
+use ferrocnc_tests::wired::{
+    golden, mill, on_flash, program, program_without_jobs, setup, without_jobs,
+};
 use ferrocnc_tests::{BenchMachine, report_part};
 use serde_json::json;
 use sim::exchange::Spread;
@@ -32,10 +34,18 @@ fn board(behind: &[u8]) -> BenchMachine {
     BenchMachine::boot(setup(behind))
 }
 
+fn features(machine: &mut BenchMachine) -> u32 {
+    machine.read(wire::describe::address(wire::describe::FEATURES_AT))
+}
+
+fn services(machine: &mut BenchMachine) -> JobsState {
+    JobsState::of(features(machine))
+}
+
+/// The same on a board with jobs.
 fn state(machine: &mut BenchMachine) -> JobsState {
-    let features = machine.read(wire::describe::address(wire::describe::FEATURES_AT));
-    assert_ne!(features & FEATURE_JOBS, 0, "the gateware has segments");
-    JobsState::of(features)
+    assert_ne!(features(machine) & FEATURE_JOBS, 0, "it has segments");
+    services(machine)
 }
 
 /// Says all of these in one go; the answers, in their order.
@@ -261,16 +271,15 @@ fn the_gateware_answers_every_exchange_with_a_pass_while_the_program_waits() {
 
 #[test]
 fn the_golden_image_has_its_program_too() {
-    let mut machine = BenchMachine::boot(golden(&program()));
-    assert_eq!(state(&mut machine), JobsState::Alive);
-    assert!(hello(&mut machine).is_some(), "a welcome");
+    let mut machine = BenchMachine::boot(without_jobs(golden(&program_without_jobs())));
+    assert_eq!(services(&mut machine), JobsState::Alive);
     works_otherwise(&mut machine);
 }
 
 #[test]
-fn an_update_brings_the_jobs_program_of_its_image_along() {
+fn an_update_brings_the_program_of_its_image_along() {
     const NEXT: u32 = 0xbbbb_0002;
-    let image = flash::with_program(&flash::image(NEXT, 3), &program());
+    let image = flash::with_program(&flash::image(NEXT, 3), &program_without_jobs());
     let mut bench = Bench::new(flash::factory(Part::W25Q32JV.with(Times::QUICK), 7));
     assert_eq!(bench.bring(NEXT, &image), None);
     let nor = bench.nor().copy();
@@ -279,11 +288,9 @@ fn an_update_brings_the_jobs_program_of_its_image_along() {
         build_id: NEXT,
         role: Role::Image,
     };
-    let mut machine = BenchMachine::boot(on_flash(trailer, nor));
+    let mut machine = BenchMachine::boot(without_jobs(on_flash(trailer, nor)));
     assert_eq!(machine.read(map::FLASH_RUNNING), Running::B.code());
-    assert_eq!(state(&mut machine), JobsState::Alive);
-    let (_, welcome) = hello(&mut machine).expect("a welcome");
-    assert_eq!(welcome.program.to_le_bytes(), program()[..4]);
+    assert_eq!(services(&mut machine), JobsState::Alive);
     works_otherwise(&mut machine);
 }
 
@@ -300,19 +307,26 @@ fn a_card_with_half_the_sdram_has_half_the_room() {
 
 #[test]
 fn an_sdram_with_a_line_shorted_to_ground_has_no_jobs_and_everything_else_works() {
-    for (what, data, row, told) in [
-        ("a line of the data", 1 << 19, 0, JobsState::Damaged),
+    let line = |data, row| SdramLines { data, row, high: 0 };
+    // What a line of the data does shows without the rest of the program, which tests the rest of
+    // the SDRAM.
+    for (what, mut board, lines, told) in [
+        (
+            "a line of the data",
+            setup(&beginning(&program())),
+            line(1 << 19, 0),
+            JobsState::Damaged,
+        ),
         (
             "a row's line beyond the program",
-            0,
-            1 << 8,
+            mill(),
+            line(0, 1 << 8),
             JobsState::Sdram,
         ),
     ] {
-        let mut setup = setup(&program());
-        setup.shorted = SdramLines { data, row, high: 0 };
-        let mut machine = BenchMachine::boot(setup);
-        assert_eq!(state(&mut machine), told, "{what}");
+        board.shorted = lines;
+        let mut machine = BenchMachine::boot(board);
+        assert_eq!(services(&mut machine), told, "{what}");
         assert!(
             machine.rig().tcp_connect(wire::jobs::PORT).is_err(),
             "{what}: the port of jobs does not answer"

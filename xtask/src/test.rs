@@ -61,7 +61,8 @@ enum Level {
     Linuxcnc,
     /// Everything that comes from outside, 8 s of random inputs for each parser.
     Fuzz,
-    /// The Debian packages: what is in them, and the same bytes twice.
+    /// The Debian packages: what is in them, and the same bytes twice. Only if it is named: to build
+    /// them and the tool that packs them takes ten minutes of a core.
     Packages,
     /// The same, and they are installed in a fresh Debian 12, where LinuxCNC runs a program on the
     /// twin, and removed without a trace. Only if it is named: it takes 200 MB of Debian from the
@@ -97,7 +98,6 @@ const ALL: &[Level] = &[
     Level::Twin,
     Level::Linuxcnc,
     Level::Fuzz,
-    Level::Packages,
     Level::Bitstream,
 ];
 
@@ -171,8 +171,6 @@ fn simulations(levels: &[Level]) -> Result<()> {
     }
     if any(|level| level == Level::Lockstep) {
         build::simulated_cores(build::BOARD)?;
-    }
-    if any(|level| matches!(level, Level::Lockstep | Level::Jobs)) {
         build::simulated_cores(build::CORES_BOARD)?;
     }
     if any(|level| level == Level::Jobs) {

@@ -1,7 +1,7 @@
 //! Clients of the services: consoles, the status page, and what the longest of their calls takes.
 
 use ferrocnc_tests::flood::{KINDS, Kind};
-use ferrocnc_tests::wired::{mill, program, setup};
+use ferrocnc_tests::wired::mill;
 use ferrocnc_tests::{BenchMachine, report_part, seed};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
@@ -22,7 +22,7 @@ const LONGEST_AT_REST: u32 = 100_000;
 
 #[test]
 fn three_clients_have_a_console_at_once() {
-    let mut machine = BenchMachine::boot(setup(&program()));
+    let mut machine = BenchMachine::boot(mill());
     let rig = machine.rig();
     let all: Vec<_> = (0..3)
         .map(|n| {
@@ -32,7 +32,7 @@ fn three_clients_have_a_console_at_once() {
         .collect();
     assert!(rig.tcp_connect(CONSOLE_PORT).is_err(), "a fourth");
     let mut heard = vec![String::new(); 3];
-    for (client, line) in all.iter().zip(["status\n", "job status\n", "settings\n"]) {
+    for (client, line) in all.iter().zip(["status\n", "link\n", "settings\n"]) {
         rig.segment.send(*client, line.as_bytes());
         // One after the other, as hands type them.
         rig.run_ms(1);

@@ -2,7 +2,7 @@
 
 use ferrocnc_tests::flood::Kind;
 use ferrocnc_tests::services::{Part, judged_by, small};
-use ferrocnc_tests::wired::{golden, program, setup};
+use ferrocnc_tests::wired::{golden, mill, program, program_without_jobs, setup};
 use ferrocnc_tests::{BenchMachine, report_part, seed};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
@@ -56,8 +56,8 @@ const SWEEP_MS: u64 = 300;
 
 #[test]
 fn bits_that_turn_over_in_the_services_of_a_moving_machine_end_them_at_most() {
-    let code = program();
-    let mut machine = BenchMachine::boot(setup(&code));
+    let code = program_without_jobs();
+    let mut machine = BenchMachine::boot(mill());
     let seed = seed();
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     // A part, bits that turn over, and the periods between two times.
@@ -106,8 +106,8 @@ fn bits_that_turn_over_in_the_services_of_a_moving_machine_end_them_at_most() {
 
 #[test]
 fn a_bit_of_the_services_that_turns_over_at_rest_is_noticed_and_they_are_loaded_again() {
-    let code = program();
-    let mut machine = BenchMachine::boot(setup(&code));
+    let code = program_without_jobs();
+    let mut machine = BenchMachine::boot(mill());
     let seed = seed();
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     machine.turn_over(&Part::Code.words(&code), 1, &mut rng);
@@ -134,7 +134,7 @@ fn an_sdram_that_dies_while_the_machine_moves_ends_the_services_and_not_the_moti
         ("all of it reads 0", lines(u32::MAX, 0)),
         ("a line is shorted to the supply", lines(0, 1 << 6)),
     ] {
-        let mut machine = BenchMachine::boot(setup(&program()));
+        let mut machine = BenchMachine::boot(mill());
         let mut rng = Pcg64Mcg::seed_from_u64(seed());
         let dies = |machine: &mut BenchMachine, period: u32, _: &mut Pcg64Mcg| {
             if period == 7 {
