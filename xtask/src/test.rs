@@ -61,8 +61,8 @@ enum Level {
     Linuxcnc,
     /// Everything that comes from outside, 8 s of random inputs for each parser.
     Fuzz,
-    /// The Debian packages: what is in them, and the same bytes twice. Only if it is named: to build
-    /// them and the tool that packs them takes ten minutes of a core.
+    /// The Debian packages: what is in them, and the same bytes twice. Only if it is named: to
+    /// build them and the tool that packs them takes ten minutes of a core.
     Packages,
     /// The same, and they are installed in a fresh Debian 12, where LinuxCNC runs a program on the
     /// twin, and removed without a trace. Only if it is named: it takes 200 MB of Debian from the
@@ -186,9 +186,13 @@ struct Outcome {
     result: Result<usize>,
 }
 
-/// Runs the levels in two queues, because most levels keep one core busy and wait for it. The first
-/// queue begins with the levels whose programs keep a pace, and then helps the second. The second
-/// queue runs at low priority: LinuxCNC and a streamed job keep their pace beside it. One level
+/// Queues beside the first one. Together they keep two cores busy while LinuxCNC waits for its
+/// machine.
+const OTHER_QUEUES: usize = 2;
+
+/// Runs the levels in some queues, because most levels wait for something for a part of their time.
+/// The first queue begins with the levels whose programs keep a pace, and then helps the others.
+/// Those run at low priority: LinuxCNC and a streamed job keep their pace beside them. One level
 /// alone, or one core, makes one queue.
 fn side_by_side(levels: &[Level]) -> Vec<Outcome> {
     let (paced, others): (VecDeque<Level>, VecDeque<Level>) =
@@ -221,10 +225,12 @@ fn side_by_side(levels: &[Level]) -> Vec<Outcome> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     std::thread::scope(|scope| {
         if levels.len() > 1 && cores > 1 {
-            scope.spawn(|| {
-                step::stand_back();
-                queue(false);
-            });
+            for _ in 0..OTHER_QUEUES {
+                scope.spawn(|| {
+                    step::stand_back();
+                    queue(false);
+                });
+            }
         }
         queue(true);
     });

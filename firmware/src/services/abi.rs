@@ -152,8 +152,8 @@ impl Patrol {
         }
     }
 
-    /// So many words of the program have come, which `words` begin with, and `check` has taken them.
-    /// The piece that ends with the code says its sum.
+    /// So many words of the program have come, which `words` begin with, and `check` has taken
+    /// them. The piece that ends with the code says its sum.
     pub fn loaded(&mut self, words: &[u32], done: usize, check: &Check) {
         let end = words.get(FIXED_END_AT).copied().unwrap_or(0);
         let bytes = end.wrapping_sub(SDRAM_BASE as u32) as usize;
