@@ -31,7 +31,7 @@ const LATE: u64 = 18_000;
 /// The longest call of the services: less than a third of a servo period of 1 kHz.
 const LONGEST_CALL: u32 = 18_000;
 /// Servo periods under each kind of flood.
-const PERIODS: usize = 18;
+const PERIODS: usize = 12;
 /// Frames of a guest of each kind, one every third period, at other places of the ten periods in
 /// one of which the services have their turn.
 const TRIES: usize = 4;

@@ -12,11 +12,11 @@ use wire::board::crc32;
 use wire::map;
 
 /// Mutated frames; `FERROCNC_FRAMES` says another number.
-const FRAMES: usize = 20_000;
+const FRAMES: usize = 8_000;
 /// Clocks a frame gets to itself: less than many take, so that all slots are full now and then.
 const PACE: u64 = 2_500;
 /// Frames between two looks at the registers.
-const BATCH: usize = 500;
+const BATCH: usize = 1_000;
 
 /// The byte at which an IP header begins, and the UDP header after one without options.
 const IP: usize = 14;
