@@ -1,7 +1,7 @@
 //! Whole jobs on the Verilated board: real gateware, release image, the jobs program in SDRAM; sent
 //! and started over TCP by the tool's own client.
 //!
-//! `cargo xtask test jobs` builds what this needs. `FERROCNC_PROFILE=FILE` makes the dense arc
+//! `cargo xtask test plotter` builds what this needs. `FERROCNC_PROFILE=FILE` makes the dense arc
 //! write where the processor was while it planned: a line for each address, in hexadecimal, and how
 //! many looks found it there.
 

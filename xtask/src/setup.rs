@@ -15,6 +15,8 @@ const PACKAGES: &[(&str, &str)] = &[
         "its headers, against which our bindings are checked",
     ),
     ("clang", "compiles the Verilated board"),
+    ("libclang-rt-dev", "counts what the Verilated board executes"),
+    ("llvm", "makes a profile of it, with which that is faster"),
     (
         "g++",
         "its C++ library; compiles libFuzzer and the benches of the cores",

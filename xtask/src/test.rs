@@ -38,9 +38,11 @@ enum Level {
     Core,
     /// Every core against its bit-exact model, clock by clock.
     Lockstep,
-    /// A drawing as a job: the path rebuilt from the pins' edges, over the drawing. Jobs on the
-    /// whole Verilated board, and how they end.
+    /// A drawing as a job: the path rebuilt from the pins' edges, over the drawing. The tool, and
+    /// how jobs end.
     Jobs,
+    /// The same on the whole Verilated board with the release image.
+    Plotter,
     /// The Verilated board with the release image: boot, exchange, malformed frames, faults.
     Soc,
     /// The fault table: every row with the real driver against the twin, the gateware's rows on the
@@ -90,6 +92,7 @@ const ALL: &[Level] = &[
     Level::Core,
     Level::Lockstep,
     Level::Jobs,
+    Level::Plotter,
     Level::Soc,
     Level::Faults,
     Level::Peers,
@@ -166,14 +169,14 @@ fn prepare(levels: &[Level]) -> Result<()> {
 /// Verilates what the levels need besides the board of the demo.
 fn simulations(levels: &[Level]) -> Result<()> {
     let any = |wanted: fn(Level) -> bool| levels.iter().any(|level| wanted(*level));
-    if any(|level| matches!(level, Level::Soc | Level::Jobs)) {
+    if any(|level| matches!(level, Level::Soc | Level::Jobs | Level::Plotter)) {
         build::simulated_board(build::JOBS_BOARD)?;
     }
     if any(|level| level == Level::Lockstep) {
         build::simulated_cores(build::BOARD)?;
         build::simulated_cores(build::CORES_BOARD)?;
     }
-    if any(|level| level == Level::Jobs) {
+    if any(|level| matches!(level, Level::Jobs | Level::Plotter)) {
         build::firmware()?;
     }
     Ok(())
@@ -315,6 +318,7 @@ impl Level {
             Level::Core => "core: RTL at its pins under random stimulus",
             Level::Lockstep => "lockstep: RTL and model, clock by clock",
             Level::Jobs => "jobs: a drawing, from SVG to edges and back; jobs' ends",
+            Level::Plotter => "plotter: jobs on the Verilated board, release image",
             Level::Soc => "soc: Verilated board, release image, frames and faults",
             Level::Faults => "faults: every row of the fault table, at the pins",
             Level::Peers => "peers: defects of others, on the RTL board",
@@ -360,11 +364,9 @@ impl Level {
                 // Two runs with a seed each, side by side.
                 Ok(board_tests("lockstep", "3 min", "2")? + jobs()?)
             }
-            // The drawing and the dense arc have a board of their own, the rest of the second's
-            // tests share one.
-            Level::Jobs => {
-                Ok(board_tests("jobs", "3 min", "2")? + board_tests("jobs_rtl", "7 min", "2")?)
-            }
+            Level::Jobs => board_tests("jobs", "3 min", "2"),
+            // The drawing and the dense arc have a board of their own, the other tests share one.
+            Level::Plotter => board_tests("jobs_rtl", "7 min", "2"),
             Level::Soc => Ok(board_tests("image", "1 min", "2")?
                 + board_tests("jobs_program", "4 min", "2")?
                 + board_tests("services", "3 min", "2")?
