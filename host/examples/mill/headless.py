@@ -33,6 +33,10 @@ AXES = "xyz"
 # The position loop halves what is left every period: 80 periods after the last command nothing can
 # be left.
 STILL_PERIODS = 80
+# A request was overheard if so many servo periods and seconds have passed without its effect. Only
+# seconds would end what a busy computer has just begun.
+OVERHEARD_PERIODS = 500
+OVERHEARD = 15.0
 # Servo periods in which something must have happened.
 MOST_PERIODS = 3000
 # As record.hal wires the sampler; the first column is the sample's number.
@@ -111,7 +115,7 @@ class Machine:
         overheard."""
         seen, since = (self.progress(), periods()), time.time()
         change, change_at = periods(), time.time()
-        asked = time.time()
+        asked, asked_at = periods(), time.time()
         while True:
             self.poll()
             if condition(self.stat):
@@ -130,9 +134,9 @@ class Machine:
                     3,
                     f"nothing happened for {MOST_PERIODS} servo periods while waiting until {what}; {self.where()}",
                 )
-            if again and time.time() - asked > 15:
+            if again and periods() - asked > OVERHEARD_PERIODS and time.time() - asked_at > OVERHEARD:
                 again()
-                asked = time.time()
+                asked, asked_at = periods(), time.time()
             time.sleep(0.02)
 
     def run(self):
@@ -158,8 +162,13 @@ class Machine:
             keep_on=False,
             again=self.leave_estop,
         )
-        self.command.state(linuxcnc.STATE_ON)
-        self.wait(lambda s: s.task_state == linuxcnc.STATE_ON, "the machine is on", keep_on=False)
+        self.switch_on()
+        self.wait(
+            lambda s: s.task_state == linuxcnc.STATE_ON,
+            "the machine is on",
+            keep_on=False,
+            again=self.switch_on,
+        )
 
     def home(self):
         """All joints, whether they were homed before or not."""
@@ -188,6 +197,9 @@ class Machine:
         """Lets servo periods pass."""
         until = periods() + count
         self.wait(lambda _: periods() >= until, f"{count} servo periods have passed", keep_on=False)
+
+    def switch_on(self):
+        self.command.state(linuxcnc.STATE_ON)
 
     def leave_estop(self):
         self.command.state(linuxcnc.STATE_ESTOP)
