@@ -1,9 +1,10 @@
 //! Whole jobs on the Verilated board: real gateware, release image, the jobs program in SDRAM; sent
 //! and started over TCP by the tool's own client.
 //!
-//! `cargo xtask test plotter` builds what this needs. `FERROCNC_PROFILE=FILE` makes the dense arc
-//! write where the processor was while it planned: a line for each address, in hexadecimal, and how
-//! many looks found it there.
+//! `cargo xtask test plotter` builds what this needs, and runs the tests that are ignored, too:
+//! what they show is in `sim/tests/executor`, with the models of the cores, and takes minutes here.
+//! `FERROCNC_PROFILE=FILE` makes the dense arc write where the processor was while it planned: a
+//! line for each address, in hexadecimal, and how many looks found it there.
 
 use ferrocnc_tests::drawing::{self, TOLERANCE};
 use ferrocnc_tests::pins::{self, Event, Pin, Prediction};
@@ -341,6 +342,7 @@ fn path(events: &[Event]) -> Path {
 }
 
 #[test]
+#[ignore = "named: cargo xtask test plotter"]
 fn pauses_at_any_moment_change_no_step() {
     let seed = ferrocnc_tests::seed();
     let mut random = rand_pcg::Pcg32::new(seed, 1);
@@ -373,6 +375,7 @@ fn pauses_at_any_moment_change_no_step() {
 }
 
 #[test]
+#[ignore = "named: cargo xtask test plotter"]
 fn stop_comes_to_rest_on_the_path_and_the_next_job_goes_on_from_there() {
     let mut wired = board();
     let began = began(&mut wired);
@@ -439,6 +442,7 @@ fn an_e_stop_ends_the_pulses_in_its_clock_and_the_switch_has_to_be_found_again()
 }
 
 #[test]
+#[ignore = "named: cargo xtask test plotter"]
 fn the_cable_pulled_in_mid_job_stops_an_attended_job_and_an_unattended_one_is_drawn_to_its_end() {
     let mut wired = board();
     let attended = began(&mut wired);
@@ -469,6 +473,7 @@ fn the_cable_pulled_in_mid_job_stops_an_attended_job_and_an_unattended_one_is_dr
 }
 
 #[test]
+#[ignore = "named: cargo xtask test plotter"]
 fn when_the_board_restarts_in_the_middle_of_a_job_it_says_so_and_knows_neither_job_nor_place() {
     let mut wired = board();
     under_way(&mut wired, LONG, &brisk(), None);
@@ -493,6 +498,7 @@ fn when_the_board_restarts_in_the_middle_of_a_job_it_says_so_and_knows_neither_j
 }
 
 #[test]
+#[ignore = "named: cargo xtask test plotter"]
 fn a_job_that_asks_for_more_than_the_planner_makes_brakes_and_says_underrun() {
     let (_, machine) = dense();
     let mut wired = board();
@@ -674,6 +680,7 @@ fn struck(wired: &mut Wired, seed: u64, strikes: Strikes, asked: bool) -> (f64, 
 
 /// Every kind in turn. `FERROCNC_STOPS` is how many; one in the gate, on the board that all share.
 #[test]
+#[ignore = "named: cargo xtask test plotter"]
 fn any_job_stops_each_axis_within_its_own_way_whatever_strikes() {
     let first = ferrocnc_tests::from_environment("FERROCNC_SEED", 1);
     let count = ferrocnc_tests::from_environment("FERROCNC_STOPS", 0);

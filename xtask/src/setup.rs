@@ -15,7 +15,10 @@ const PACKAGES: &[(&str, &str)] = &[
         "its headers, against which our bindings are checked",
     ),
     ("clang", "compiles the Verilated board"),
-    ("libclang-rt-dev", "counts what the Verilated board executes"),
+    (
+        "libclang-rt-dev",
+        "counts what the Verilated board executes",
+    ),
     ("llvm", "makes a profile of it, with which that is faster"),
     (
         "g++",
@@ -317,6 +320,11 @@ pub fn svd2rust() -> Result<PathBuf> {
 /// cargo-deny, pinned. It runs for two seconds, so it is built without optimisation.
 pub fn cargo_deny() -> Result<PathBuf> {
     tool_with("cargo-deny", "0.20.2", &["--version"], &["--debug"])
+}
+
+/// Whether [`cargo_deny`] has been built.
+pub fn has_cargo_deny() -> bool {
+    target("tools/bin/cargo-deny").exists()
 }
 
 /// cargo-deb, pinned. It compresses some megabytes, so it is built without optimisation.

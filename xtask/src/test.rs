@@ -41,7 +41,8 @@ enum Level {
     /// A drawing as a job: the path rebuilt from the pins' edges, over the drawing. The tool, and
     /// how jobs end.
     Jobs,
-    /// The same on the whole Verilated board with the release image.
+    /// The same on the whole Verilated board with the release image. The tests that the models
+    /// have, too, only if it is named.
     Plotter,
     /// The Verilated board with the release image: boot, exchange, malformed frames, faults.
     Soc,
@@ -61,7 +62,7 @@ enum Level {
     Twin,
     /// Real LinuxCNC, our driver, the simulated board.
     Linuxcnc,
-    /// Everything that comes from outside, 8 s of random inputs for each parser.
+    /// Everything that comes from outside, 5 s of random inputs for each parser.
     Fuzz,
     /// The Debian packages: what is in them, and the same bytes twice. Only if it is named: to
     /// build them and the tool that packs them takes ten minutes of a core.
@@ -79,7 +80,7 @@ enum Level {
 /// in each run: whether a change passes is no matter of luck. The search is a command of its own:
 /// `cargo xtask fuzz --seconds 3600`.
 const FUZZ: fuzz::Search = fuzz::Search {
-    seconds: 8,
+    seconds: 5,
     seed: Some(1),
 };
 
@@ -113,7 +114,7 @@ pub fn run(options: &Options) -> Result<()> {
     };
     let begun = Instant::now();
     prepare(levels)?;
-    let outcomes = side_by_side(levels);
+    let outcomes = side_by_side(levels, !options.levels.is_empty());
     report(&outcomes, begun.elapsed().as_secs_f32() / 60.0)?;
     step::heading("the pyramid");
     let (mut passed, mut failed) = (0, 0);
@@ -197,7 +198,7 @@ const OTHER_QUEUES: usize = 2;
 /// The first queue begins with the levels whose programs keep a pace, and then helps the others.
 /// Those run at low priority: LinuxCNC and a streamed job keep their pace beside them. One level
 /// alone, or one core, makes one queue.
-fn side_by_side(levels: &[Level]) -> Vec<Outcome> {
+fn side_by_side(levels: &[Level], named: bool) -> Vec<Outcome> {
     let (paced, others): (VecDeque<Level>, VecDeque<Level>) =
         levels.iter().partition(|level| level.keeps_a_pace());
     let waiting = Mutex::new((paced, others));
@@ -215,7 +216,7 @@ fn side_by_side(levels: &[Level]) -> Vec<Outcome> {
             let Some(level) = level else { break };
             step::heading(&format!("test: {}", level.title()));
             let begun = Instant::now();
-            let result = level.run();
+            let result = level.run(named);
             let seconds = begun.elapsed().as_secs_f32();
             let mut done = done.lock().unwrap_or_else(PoisonError::into_inner);
             done.push(Outcome {
@@ -333,10 +334,11 @@ impl Level {
         }
     }
 
-    /// Runs the level; says how many tests passed.
-    fn run(self) -> Result<usize> {
+    /// Runs the level; says how many tests passed. What takes long and is shown elsewhere, too,
+    /// runs only if the level was `named`.
+    fn run(self, named: bool) -> Result<usize> {
         match self {
-            Level::Lint => lint::check(),
+            Level::Lint => lint::check(named),
             Level::Unit => {
                 let mut cargo = cargo_tests::command();
                 cargo.args(["--workspace", "--no-fail-fast"]);
@@ -366,7 +368,8 @@ impl Level {
             }
             Level::Jobs => board_tests("jobs", "3 min", "2"),
             // The drawing and the dense arc have a board of their own, the other tests share one.
-            Level::Plotter => board_tests("jobs_rtl", "7 min", "2"),
+            Level::Plotter if named => tests_of("jobs_rtl", "13 min", "2", &["--include-ignored"]),
+            Level::Plotter => board_tests("jobs_rtl", "6 min", "2"),
             Level::Soc => Ok(board_tests("image", "1 min", "2")?
                 + board_tests("jobs_program", "4 min", "2")?
                 + board_tests("services", "3 min", "2")?
@@ -461,8 +464,14 @@ fn maximum_board() -> Result<()> {
 /// A test program that needs a simulated board, so many tests at once: with
 /// LinuxCNC one, for its HAL is one per machine.
 fn board_tests(name: &str, expect: &str, threads: &str) -> Result<usize> {
+    tests_of(name, expect, threads, &[])
+}
+
+/// The same, with more arguments for the program.
+fn tests_of(name: &str, expect: &str, threads: &str, arguments: &[&str]) -> Result<usize> {
     let mut cargo = cargo_tests::of_boards();
     cargo.args(["--test", name, "--", "--test-threads", threads]);
+    cargo.args(arguments);
     cargo_tests::run(
         &format!("test-{name}"),
         &format!("tests against the simulated board: {name}"),

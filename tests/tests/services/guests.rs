@@ -43,7 +43,10 @@ fn three_clients_have_a_console_at_once() {
             heard.push_str(&String::from_utf8_lossy(&rig.segment.recv(*client)));
         }
     }
-    for (heard, word) in heard.iter().zip(["session  ", "mac: no slot ", "192.168.2.50"]) {
+    for (heard, word) in heard
+        .iter()
+        .zip(["session  ", "mac: no slot ", "192.168.2.50"])
+    {
         assert!(heard.contains(word), "{heard}");
         assert_eq!(heard.matches("ferrocnc> ").count(), 2, "{heard}");
     }

@@ -22,7 +22,14 @@ pub fn run() -> Result<()> {
     step::heading("bench: stops");
     for (name, program, tests, machines) in RUNS {
         let mut cargo = cargo_tests::of_boards();
-        cargo.args(["--test", program, "--", tests, "--nocapture"]);
+        cargo.args([
+            "--test",
+            program,
+            "--",
+            tests,
+            "--nocapture",
+            "--include-ignored",
+        ]);
         cargo.env("FERROCNC_STOPS", machines.to_string());
         let title = format!("{machines} machines: {program}");
         let log = format!("bench-stops-{name}");
