@@ -219,7 +219,7 @@ compile() { # the library, and what the compiler is told of a profile
 profile=""
 if [ -n "$trains" ]; then
     compile "$obj/counts.so" -fprofile-instr-generate
-    if LLVM_PROFILE_FILE=$obj/counts.profraw "$python" "$here/train.py" "$obj/counts.so" "$firmware" >> "$log" 2>&1 \
+    if LLVM_PROFILE_FILE=$obj/counts.profraw PYTHONPATH=$repo/gateware "$venv/bin/python" "$here/train.py" "$obj/counts.so" "$firmware" >> "$log" 2>&1 \
         && llvm-profdata merge -o "$obj/counts.profdata" "$obj/counts.profraw" >> "$log" 2>&1; then
         profile="-fprofile-instr-use=$obj/counts.profdata"
     else

@@ -5,9 +5,7 @@
 use ferrocnc_tests::bench::Bench;
 use ferrocnc_tests::flash::{self, Boots};
 use ferrocnc_tests::services::{beginning, sealed};
-use ferrocnc_tests::wired::{
-    golden, mill, on_flash, program, program_without_jobs, setup, without_jobs,
-};
+use ferrocnc_tests::wired::{golden, mill, on_flash, program, setup};
 use ferrocnc_tests::{BenchMachine, report_part};
 use serde_json::json;
 use sim::exchange::Spread;
@@ -271,15 +269,16 @@ fn the_gateware_answers_every_exchange_with_a_pass_while_the_services_wait() {
 
 #[test]
 fn the_golden_image_has_its_program_too() {
-    let mut machine = BenchMachine::boot(without_jobs(golden(&program_without_jobs())));
-    assert_eq!(services(&mut machine), JobsState::Alive);
+    let mut machine = BenchMachine::boot(golden(&program()));
+    assert_eq!(state(&mut machine), JobsState::Alive);
+    assert!(hello(&mut machine).is_some(), "a welcome");
     works_otherwise(&mut machine);
 }
 
 #[test]
-fn an_update_brings_the_program_of_its_image_along() {
+fn an_update_brings_the_jobs_program_of_its_image_along() {
     const NEXT: u32 = 0xbbbb_0002;
-    let image = flash::with_program(&flash::image(NEXT, 3), &program_without_jobs());
+    let image = flash::with_program(&flash::image(NEXT, 3), &program());
     let mut bench = Bench::new(flash::factory(Part::W25Q32JV.with(Times::QUICK), 7));
     assert_eq!(bench.bring(NEXT, &image), None);
     let nor = bench.nor().copy();
@@ -288,9 +287,11 @@ fn an_update_brings_the_program_of_its_image_along() {
         build_id: NEXT,
         role: Role::Image,
     };
-    let mut machine = BenchMachine::boot(without_jobs(on_flash(trailer, nor)));
+    let mut machine = BenchMachine::boot(on_flash(trailer, nor));
     assert_eq!(machine.read(map::FLASH_RUNNING), Running::B.code());
-    assert_eq!(services(&mut machine), JobsState::Alive);
+    assert_eq!(state(&mut machine), JobsState::Alive);
+    let (_, welcome) = hello(&mut machine).expect("a welcome");
+    assert_eq!(welcome.program.to_le_bytes(), program()[..4]);
     works_otherwise(&mut machine);
 }
 

@@ -268,7 +268,7 @@ const TURNS: u32 = 36;
 /// keeps all registers.
 #[test]
 fn the_leash_harms_the_rom_in_no_clock_of_what_it_does_for_the_services() {
-    for turns in (1..TURNS).step_by(3) {
+    for turns in (1..TURNS).step_by(2) {
         let mut machine =
             BenchMachine::boot(setup(&begins_with(&program(), &asks_for_ever_after(turns))));
         let mut command = moving(&mut machine);

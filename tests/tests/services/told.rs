@@ -10,8 +10,6 @@ use crate::{becomes, state};
 
 /// The services are loaded well before that.
 pub const LOADING_MS: u64 = 800;
-/// Tries to connect, of 20 ms each, in which a place for a reader becomes free.
-const PLACES_AGAIN: usize = 25;
 
 /// The services look at the board every 100 ms.
 const LOOK_MS: u64 = 130;
@@ -19,9 +17,7 @@ const LOOK_MS: u64 = 130;
 /// What the status page says under this path, to a reader of a machine at rest.
 pub fn page(machine: &mut BenchMachine, path: &str) -> String {
     let rig = machine.rig();
-    // A reader before may have left without a word, and keeps its place for a while.
-    let reader = (0..PLACES_AGAIN).find_map(|_| rig.tcp_connect(PAGE_PORT).ok());
-    let reader = reader.expect("the page's port");
+    let reader = rig.tcp_connect(PAGE_PORT).expect("the page's port");
     let mut heard = rig.tcp_talk(reader, &format!("GET {path} HTTP/1.0\r\n\r\n"));
     for _ in 0..100 {
         if rig.segment.hung_up(reader) {
