@@ -170,15 +170,16 @@ fn prepare(levels: &[Level]) -> Result<()> {
 /// Verilates what the levels need besides the board of the demo.
 fn simulations(levels: &[Level]) -> Result<()> {
     let any = |wanted: fn(Level) -> bool| levels.iter().any(|level| wanted(*level));
+    // The board is compiled with a profile of what the firmware does on it.
+    if any(|level| matches!(level, Level::Jobs | Level::Plotter)) {
+        build::firmware()?;
+    }
     if any(|level| matches!(level, Level::Soc | Level::Jobs | Level::Plotter)) {
         build::simulated_board(build::JOBS_BOARD)?;
     }
     if any(|level| level == Level::Lockstep) {
         build::simulated_cores(build::BOARD)?;
         build::simulated_cores(build::CORES_BOARD)?;
-    }
-    if any(|level| matches!(level, Level::Jobs | Level::Plotter)) {
-        build::firmware()?;
     }
     Ok(())
 }
