@@ -396,6 +396,13 @@ impl<'b> Exporter<'b> {
         self.pin(name, Direction::In)
     }
 
+    /// The same with another value to begin with than false.
+    pub fn input_from(&mut self, name: &str, initial: bool) -> Result<In<bool>, ExportError> {
+        let pin: In<bool> = self.pin(name, Direction::In)?;
+        pin.store(initial);
+        Ok(pin)
+    }
+
     /// A pin we write.
     pub fn output<T: Value>(&mut self, name: &str) -> Result<Out<T>, ExportError> {
         self.pin(name, Direction::Out)

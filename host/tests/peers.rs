@@ -31,12 +31,35 @@ fn an_encoder_that_turns_has_its_velocity() {
     rig.hal.set("Lcnc.00.stepgen.00.scale", 100.0);
     rig.hal.set("Lcnc.00.stepgen.00.acc_lim", 5000.0);
     rig.hal.set("Lcnc.00.encoder.00.scale", 0.01);
+    rig.hal.set("Lcnc.00.encoder.00.enable", true);
     rig.arm();
     rig.hal.set("Lcnc.00.stepgen.00.enable", true);
     rig.hal.set("Lcnc.00.stepgen.00.vel-cmd", 20.0);
     rig.run(100);
     let velocity: f64 = rig.hal.get("Lcnc.00.encoder.00.vel-fb");
     assert!((velocity - 20.0).abs() < 0.5, "{velocity}");
+}
+
+/// Lcnc's encoder counts while its `enable` is true, which nothing but HAL sets.
+#[test]
+fn an_encoder_counts_while_it_is_enabled() {
+    let mut rig = Rig::named(&Scheme::Lcnc);
+    let turn = |rig: &mut Rig, on: bool| {
+        rig.hal.set("Lcnc.00.encoder.00.enable", on);
+        rig.run(50);
+        let at: f64 = rig.hal.get("Lcnc.00.encoder.00.pos-fb");
+        at
+    };
+    rig.hal.set("Lcnc.00.stepgen.00.scale", 100.0);
+    rig.hal.set("Lcnc.00.stepgen.00.acc_lim", 5000.0);
+    rig.arm();
+    rig.hal.set("Lcnc.00.stepgen.00.enable", true);
+    rig.hal.set("Lcnc.00.stepgen.00.vel-cmd", 20.0);
+    assert_eq!(turn(&mut rig, false), 0.0, "nothing has enabled it");
+    let once = turn(&mut rig, true);
+    assert!(once > 0.0, "{once}");
+    assert_eq!(turn(&mut rig, false), once);
+    assert!(turn(&mut rig, true) > once);
 }
 
 /// `Lcnc.c` 806: operands are swapped when the counter wrapped, every 107 s at 40 MHz.

@@ -8,6 +8,7 @@
 //! | `position-interp` | float out | the same, carried on from the last edge at `velocity`, by less than one count |
 //! | `velocity`, `velocity-rpm` | float out | per second, and times 60 |
 //! | `reset` | bit in | while true `count` is 0 |
+//! | `enable` | bit in | true; while false `count` stands still and `velocity` is 0 |
 //! | `index-enable` | bit io | set it; at the next index `count` restarts there and it falls |
 //! | `probe-enable` | bit io | set it; when the probe trips the place is latched and it falls |
 //! | `count-latched`, `position-latched` | s32, float out | where the last index or probe was |
@@ -52,6 +53,7 @@ pub struct Encoder {
     velocity: Out<f64>,
     velocity_rpm: Out<f64>,
     reset: In<bool>,
+    enable: In<bool>,
     index_enable: Io<bool>,
     probe_enable: Io<bool>,
     count_latched: Out<i32>,
@@ -88,6 +90,7 @@ impl Encoder {
             velocity: hal.output("velocity")?,
             velocity_rpm: hal.output("velocity-rpm")?,
             reset: hal.input("reset")?,
+            enable: hal.input_from("enable", true)?,
             index_enable: hal.both("index-enable", false)?,
             probe_enable: hal.both("probe-enable", false)?,
             count_latched: hal.output("count-latched")?,
@@ -141,6 +144,10 @@ impl Encoder {
         let last = self.last.replace(*status);
         let moved = last.map_or(0, |last| i64::from(status.count.since(last.count)));
         self.total += moved;
+        let counts_now = self.enable.get();
+        if !counts_now {
+            self.zero += moved;
+        }
         let scale = self.scale.get();
         if let Some((source, value)) = self.latch.answered(latch_sample) {
             let at = self.total - i64::from(status.count.since(value));
@@ -167,9 +174,13 @@ impl Encoder {
 
         let edge = edge_before(now, status.edge_time);
         let timeout = self.vel_timeout.get();
-        let counts_per_s = self
-            .speed
-            .update(moved, edge, now, timeout, period.clock_hz);
+        let counts_per_s = if counts_now {
+            self.speed
+                .update(moved, edge, now, timeout, period.clock_hz)
+        } else {
+            self.speed = Speed::default();
+            0.0
+        };
         self.velocity.set(counts_per_s / scale);
         self.velocity_rpm.set(counts_per_s / scale * 60.0);
         let since = self.speed.since(now, period.clock_hz);
@@ -372,6 +383,29 @@ mod tests {
         bench.sample(77, 0);
         assert_eq!(bench.hal.get::<i32>("e.count"), 0);
         assert_eq!(bench.hal.get::<i32>("e.rawcounts"), 77);
+    }
+
+    #[test]
+    fn a_disabled_encoder_does_not_count_and_goes_on_from_where_it_stood() {
+        let mut bench = Bench::new();
+        bench.sample(10, 0);
+        bench.sample(20, 0);
+        bench.hal.set("e.enable", false);
+        bench.sample(120, 0);
+        bench.sample(u32::MAX, 0);
+        assert_eq!(bench.hal.get::<i32>("e.count"), 20);
+        assert_eq!(bench.hal.get::<f64>("e.position-interp"), 20.0);
+        assert_eq!(bench.hal.get::<f64>("e.velocity"), 0.0);
+        assert_eq!(bench.hal.get::<i32>("e.rawcounts"), -1);
+        bench.hal.set("e.enable", true);
+        bench.sample(4, 0);
+        assert_eq!(bench.hal.get::<i32>("e.count"), 25);
+        // Where the movement began is not known.
+        assert_eq!(bench.hal.get::<f64>("e.velocity"), 0.0);
+        bench.hal.set("e.enable", false);
+        bench.hal.set("e.reset", true);
+        bench.sample(9, 0);
+        assert_eq!(bench.hal.get::<i32>("e.count"), 0);
     }
 
     #[test]

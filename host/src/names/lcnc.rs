@@ -69,8 +69,9 @@ fn encoder(names: &mut Names<'_>, n: u8) -> Result<(), ExportError> {
     names.alias(&theirs("pos-fb"), &ours("position"))?;
     names.alias(&theirs("vel-fb"), &ours("velocity"))?;
     names.alias(&theirs("reset"), &ours("reset"))?;
-    // Our encoder always counts.
-    names.lone((&theirs("enable"), Bit, In), 0.0)?;
+    // Theirs counts when it is told to.
+    names.alias(&theirs("enable"), &ours("enable"))?;
+    names.ours(&ours("enable"))?.handle.set(0.0);
     // Units per count there, counts per unit here.
     let scale = names.told((&theirs("scale"), Float, ReadWrite), 1.0, Rule::Divisor)?;
     let invert = names.lone((&theirs("inv"), Bit, ReadWrite), 0.0)?;
