@@ -487,13 +487,13 @@ def _summary(found):
 _TIMING_DOC = """<!-- Written by `cargo xtask bitstream --all`; do not edit. -->
 # Timing
 
-Lcnc's eight configurations, placed and routed on an LFE5U-25F, speed grade -6, with the tools of
-`gateware/requirements.txt`: the lowest seed with at least {slack:g} % slack on every clock. A clock that
-misses its constraint fails the build. `eth` is the RGMII clock, 125 MHz; `sys` is the processor's
-and all cores'. COMB are the chip's LUT places, what the placer fills (24 288), EBR its block RAMs
-(56), DSP its multipliers (28). Minutes are those of yosys, of nextpnr and of our router (decision
-11) for all seeds up to that one, on one core of the computer that wrote this page, beside its other
-work.
+Lcnc's eight configurations, and the two machines that demo and tests run, placed and routed on an
+LFE5U-25F, speed grade -6, with the tools of `gateware/requirements.txt`: the lowest seed with at
+least {slack:g} % slack on every clock. A clock that misses its constraint fails the build. `eth` is the
+RGMII clock, 125 MHz; `sys` is the processor's and all cores'. COMB are the chip's LUT places, what
+the placer fills (24 288), EBR its block RAMs (56), DSP its multipliers (28). Minutes are those of
+yosys, of nextpnr and of our router (decision 11) for all seeds up to that one, on one core of the
+computer that wrote this page, beside its other work.
 
 `max`, 16 step generators, 16 encoders, 16 PWM, 32 + 32 I/O, is the largest board that can be
 simulated. It has no pins on a card. It is packed ([size](size.md)) but does not route since the

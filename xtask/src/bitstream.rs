@@ -7,8 +7,8 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use std::path::PathBuf;
 
-/// What `--all` builds: Lcnc's eight configurations.
-pub const ALL: [&str; 8] = [
+/// What `--all` builds: Lcnc's eight configurations, and the two machines that demo and tests run.
+pub const ALL: [&str; 10] = [
     "75b_v6_14o11i6s6e6p",
     "75b_v6_26o23i6p",
     "75b_v7_14o11i6s6e6p",
@@ -17,6 +17,8 @@ pub const ALL: [&str; 8] = [
     "75b_v8_26o23i6p",
     "75e_v6_v8_30o29i9s9e8p",
     "75e_v7_30o29i9s9e8p",
+    build::BOARD,
+    build::JOBS_BOARD,
 ];
 
 /// The one the gate builds, `tests/boards/smallest.toml`: with no step generator, no encoder and no
@@ -29,7 +31,7 @@ pub struct Options {
     /// Board configuration, such as boards/mill6.toml.
     #[arg(required_unless_present = "all", conflicts_with = "all")]
     board: Option<PathBuf>,
-    /// Lcnc's eight configurations; writes docs/timing.md.
+    /// Lcnc's eight configurations, mill6 and plotter; writes docs/timing.md.
     #[arg(long)]
     all: bool,
     /// Built-in IP address instead of the board file's.

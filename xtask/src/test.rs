@@ -55,7 +55,7 @@ enum Level {
     /// segment of boards.
     Provision,
     /// LiteX's own client, ping and a console session; telnet, curl, avahi and dnsmasq at the
-    /// board's own IP stack.
+    /// board's own IP stack. That the Verilated board renews its lease only if it is named.
     Clients,
     /// Real LinuxCNC, our driver, the twin: homing, probing, threading, four boards, other drivers'
     /// HAL files; cables pulled, boards restarted, processes killed, frames lost.
@@ -388,7 +388,9 @@ impl Level {
                 + board_tests("names", "1 min", "1")?),
             // The Verilated board of the second keeps a core busy, its twins do not.
             Level::Clients => {
-                Ok(board_tests("clients", "2 min", "1")? + board_tests("network", "2 min", "3")?)
+                let more: &[&str] = if named { &["--include-ignored"] } else { &[] };
+                let clients = board_tests("clients", "2 min", "1")?;
+                Ok(clients + tests_of("network", "5 min", "3", more)?)
             }
             Level::Twin => Ok(board_tests("twin", "3 min", "1")?
                 + board_tests("guide", "2 min", "1")?

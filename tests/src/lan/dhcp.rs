@@ -16,6 +16,15 @@ impl DhcpServer {
     /// Gives out 10.7.0.50 to 10.7.0.59 for so long (dnsmasq's words: `2m`, its shortest). What it
     /// says goes into a file in this folder.
     pub fn start(place: &Place, folder: &Path, lease: &str) -> Self {
+        Self::with(place, folder, lease, &[])
+    }
+
+    /// The same, but a client renews its lease after two seconds, dnsmasq's shortest time.
+    pub fn that_is_asked_often(place: &Place, folder: &Path, lease: &str) -> Self {
+        Self::with(place, folder, lease, &["--dhcp-option=option:T2,3"])
+    }
+
+    fn with(place: &Place, folder: &Path, lease: &str, arguments: &[&str]) -> Self {
         let said = folder.join("dnsmasq.log");
         let mut dnsmasq = place.service("dnsmasq");
         dnsmasq
@@ -25,7 +34,8 @@ impl DhcpServer {
             .arg(format!("--dhcp-range=10.7.0.50,10.7.0.59,{lease}"))
             .arg("--dhcp-script=/bin/true")
             .arg("--log-facility=-")
-            .arg("--log-dhcp");
+            .arg("--log-dhcp")
+            .args(arguments);
         let log = std::fs::File::create(&said).expect("a file for what it says");
         let process = dnsmasq
             .stdin(Stdio::null())

@@ -238,22 +238,30 @@ fn real_clients_are_served_by_the_ip_stack_of_the_twin() {
 /// but exchanges, and no guest is served.
 const RTL_PERIOD_MS: u64 = 100;
 
-#[test]
-fn real_clients_are_served_by_the_release_image_on_the_verilated_board_at_a_leased_address() {
-    let folder = Folder::new("rtl-network");
+/// What a client says to a server, and hears, to have its first lease.
+const BEGINS: [&str; 4] = ["DHCPDISCOVER", "DHCPOFFER", "DHCPREQUEST", "DHCPACK"];
+
+/// The Verilated board, as soon as it has a lease of this server.
+fn leased_board(folder: &Folder, lan: &mut Lan, server: &DhcpServer) -> (Simulator, String) {
     let nor = with_services(Part::W25Q32JV, UID);
-    let flash = flash_file(&folder, nor, NAME, true);
-    let mut lan = Lan::new();
-    let host = lan.plug(Some("10.7.0.1/24"));
-    let server = DhcpServer::start(&host, folder.path(), "2m");
+    let flash = flash_file(folder, nor, NAME, true);
     let began = Instant::now();
-    let mut simulator = Simulator::rtl_on_cable(&mut lan, &flash);
+    let simulator = Simulator::rtl_on_cable(lan, &flash);
     let board = until("a lease", || leased(&server.said()).ok_or(server.said()));
     let seconds = began.elapsed().as_secs_f64();
     println!("dnsmasq's lease of {board} after {seconds:.1} s");
+    (simulator, board)
+}
+
+#[test]
+fn real_clients_are_served_by_the_release_image_on_the_verilated_board_at_a_leased_address() {
+    let folder = Folder::new("rtl-network");
+    let mut lan = Lan::new();
+    let host = lan.plug(Some("10.7.0.1/24"));
+    let server = DhcpServer::start(&host, folder.path(), "2m");
+    let (mut simulator, board) = leased_board(&folder, &mut lan, &server);
     let said = server.said();
-    let begins = ["DHCPDISCOVER", "DHCPOFFER", "DHCPREQUEST", "DHCPACK"];
-    assert_eq!(kinds(&said), begins, "{said}");
+    assert_eq!(kinds(&said), BEGINS, "{said}");
     let net = Net {
         host: "10.7.0.1",
         board,
@@ -261,5 +269,39 @@ fn real_clients_are_served_by_the_release_image_on_the_verilated_board_at_a_leas
     };
     all_clients(&folder, &host, &net, RTL_PERIOD_MS);
     // It says how many clocks that were.
+    simulator.finish();
+}
+
+/// dnsmasq's shortest time to a renewal is two seconds: four minutes of the Verilated board.
+#[test]
+#[ignore = "named: cargo xtask test clients"]
+fn the_verilated_board_renews_its_lease_beside_a_console_and_the_tool() {
+    let folder = Folder::new("rtl-renewal");
+    let mut lan = Lan::new();
+    let host = lan.plug(Some("10.7.0.1/24"));
+    let server = DhcpServer::that_is_asked_often(&host, folder.path(), "1h");
+    let began = Instant::now();
+    let (mut simulator, board) = leased_board(&folder, &mut lan, &server);
+    let done = |what: &str| println!("{what} after {:.1} s", began.elapsed().as_secs_f64());
+    telnet(&host, &board, "characters");
+    done("telnet's keys");
+    the_tool(&host);
+    done("describe by the name");
+    discovered_by_its_name(&host, &board);
+    done("discover");
+    let said = until("two renewals", || {
+        let said = server.said();
+        match kinds(&said).len() >= BEGINS.len() + 4 {
+            true => Ok(said),
+            false => Err(said),
+        }
+    });
+    done("renewed");
+    let all = kinds(&said);
+    assert!(all.starts_with(&BEGINS), "{said}");
+    for renewal in all[BEGINS.len()..].chunks_exact(2) {
+        assert_eq!(renewal, ["DHCPREQUEST", "DHCPACK"], "{said}");
+    }
+    assert_eq!(leased(&said), Some(board), "{said}");
     simulator.finish();
 }
