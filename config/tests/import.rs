@@ -392,6 +392,32 @@ fn a_bad_ini_is_refused_by_its_own_words() {
 }
 
 #[test]
+fn the_ini_of_a_machine_is_refused_by_name_with_the_file_that_is_wanted() {
+    let machine = include_str!("../../host/examples/mill/mill.ini");
+    // Keys that are there twice are not what is wrong with it.
+    let twice = "# a mill\n[HAL]\nHALFILE = a.hal\nHALFILE = b.hal\n  [KINS]\n";
+    for (text, begins) in [
+        (machine, "router.ini:2:1: [DISPLAY]"),
+        (twice, "router.ini:5:1: [KINS]"),
+    ] {
+        let said = ini(text).unwrap_err();
+        assert!(said.starts_with(begins), "{said}");
+        for part in [
+            "LinuxCNC starts with",
+            "conf.ini",
+            "[Hardware]",
+            "--saveconf",
+        ] {
+            assert!(said.contains(part), "{part:?} is not in {said:?}");
+        }
+        let said = json(text).unwrap_err();
+        for part in ["LinuxCNC starts with", "board_type", "build_firmware"] {
+            assert!(said.contains(part), "{part:?} is not in {said:?}");
+        }
+    }
+}
+
+#[test]
 fn a_bad_json_is_refused_by_its_own_words() {
     let cases: [(&str, &str, &[&str]); 17] = [
         (

@@ -1,6 +1,6 @@
 //! Lcnc's `conf.ini`, as its GUI and `--saveconf` write it.
 
-use super::ini::{Section, parse};
+use super::ini::{Section, parse, refuse_machine};
 use super::{Draft, Imported, mac};
 use crate::board::{Channel, Class, ControlInput, Platforms};
 use crate::error::{Error, Place, Report};
@@ -45,6 +45,11 @@ pub fn lcnc(
     name: &str,
     platforms: &dyn Platforms,
 ) -> Result<Imported, Error> {
+    refuse_machine(
+        file,
+        text,
+        "the conf.ini with [Hardware] that Lcnc built the bitstream from, or that its --saveconf writes",
+    )?;
     let sections = parse(file, text)?;
     let hardware = Hardware {
         file,

@@ -1,6 +1,7 @@
 //! LiteX-CNC's JSON, of both generations: `ethphy`, `etherbone`, `watchdog.pin` and one-pin PWMs
 //! until 1.2, `connection`, watchdog functions, e-stops and PWM types from there on.
 
+use super::ini::refuse_machine;
 use super::json::parse;
 use super::{Draft, Imported, mac};
 use crate::board::{Channel, Class, Platforms};
@@ -249,6 +250,11 @@ pub fn litexcnc(
     name: &str,
     platforms: &dyn Platforms,
 ) -> Result<Imported, Error> {
+    refuse_machine(
+        file,
+        text,
+        "the JSON with board_type and modules that `litexcnc build_firmware` read",
+    )?;
     let tree = parse(file, text)?;
     let at = At::new(file, "", &tree, BOARD)?;
     let board_type = at.text("board_type").unwrap_or_default();
