@@ -35,6 +35,8 @@ struct Draft<'p> {
     platforms: &'p dyn Platforms,
     board: Board,
     notes: Vec<String>,
+    /// What LiteX-CNC's HAL names begin with.
+    litexcnc_board: String,
     /// LiteX-CNC's step generators that stop at once.
     hard_stops: Vec<String>,
     /// Key of ours, their key, its place.
@@ -87,12 +89,13 @@ impl<'p> Draft<'p> {
             platforms,
             board,
             notes: Vec::new(),
+            litexcnc_board: String::new(),
             hard_stops: Vec::new(),
             origins: Vec::new(),
         })
     }
 
-    /// Adds a channel. A name HAL cannot have is changed, and said so; without a name it gets its
+    /// Adds a channel. A name ours cannot be is changed, and said so; without a name it gets its
     /// number.
     fn push(
         &mut self,
@@ -121,7 +124,11 @@ impl<'p> Draft<'p> {
             ours.clone_from(&numbered);
         }
         if name.is_some_and(|name| name != ours) {
-            self.notes.push(format!("{origin}: the name {wanted:?} became \"{ours}\": HAL has lower case, digits and hyphens, and {room} characters here."));
+            let kept = match &channel.litexcnc_name {
+                Some(_) => "; `names=litexcnc-named` keeps the old one",
+                None => "",
+            };
+            self.notes.push(format!("{origin}: the name {wanted:?} became \"{ours}\": our names have lower case, digits and hyphens, and {room} characters here{kept}."));
         }
         channel.name = ours;
         self.origins

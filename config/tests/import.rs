@@ -180,7 +180,7 @@ fn the_newer_litexcnc_keeps_types_estops_and_the_index() {
     let stepgen = &board.of(Class::Stepgen)[0];
     assert_eq!(
         stepgen.text(Class::Stepgen),
-        "step=j3:0 step_n=j3:1 dir=j3:2 dir_n=j3:4 index=j7:1"
+        "step=j3:0 step_n=j3:1 dir=j3:2 dir_n=j3:4 index=j7:1 as="
     );
     assert_eq!(
         board.of(Class::Stepgen)[1].name,
@@ -196,8 +196,8 @@ fn the_newer_litexcnc_keeps_types_estops_and_the_index() {
         pwms,
         [
             "pin=j1:2",
-            "pin=j1:4 dir=j1:5",
-            "pin=j2:0 dir=j2:1 type=up_down"
+            "pin=j1:4 dir=j1:5 as=",
+            "pin=j2:0 dir=j2:1 type=up_down as="
         ]
     );
     let inputs: Vec<_> = board
@@ -239,6 +239,80 @@ fn the_newer_litexcnc_keeps_types_estops_and_the_index() {
             "nothing said about {part}: {notes:#?}"
         );
     }
+}
+
+/// `PLASMA` with another name in the place of one it has.
+fn renamed(old: &str, new: &str) -> String {
+    let old = format!("\"name\": \"{old}\"");
+    assert!(PLASMA.contains(&old), "{old}");
+    PLASMA.replacen(&old, &format!("\"name\": {new:?}"), 1)
+}
+
+#[test]
+fn a_name_of_litexcnc_is_kept_as_it_is_written_beside_ours() {
+    let kept = |text: &str, class: Class| -> Vec<(String, Option<String>)> {
+        let Imported { board, toml, .. } = json(text).unwrap();
+        let again = Board::read("x.toml", "mill", &toml, &Folder::default()).unwrap();
+        assert_eq!(again.channels, board.channels, "the board file has them");
+        let channels = board.of(class).iter();
+        channels
+            .map(|one| (one.name.clone(), one.litexcnc_name.clone()))
+            .collect()
+    };
+    let pair = |ours: &str, theirs: Option<&str>| (ours.to_owned(), theirs.map(str::to_owned));
+    assert_eq!(
+        kept(PLASMA, Class::Stepgen),
+        [pair("x", Some("x")), pair("torch-h", Some("torch-height"))]
+    );
+    let written = renamed("x", "J1:10_Left").replace("\"torch-height\"", "\"24V.z/a+\"");
+    assert_eq!(
+        kept(&written, Class::Stepgen),
+        [
+            pair("j1-10-l", Some("J1:10_Left")),
+            pair("v-z-a", Some("24V.z/a+"))
+        ]
+    );
+    // Without a name there is a number; an e-stop's is no channel's name there.
+    assert_eq!(
+        kept(PLASMA, Class::Input)[..2],
+        [pair("estop-front", None), pair("estop-01", None)]
+    );
+    // The board says it, in few bytes where it is ours.
+    let texts = |text: &str| -> Vec<String> {
+        let board = json(text).unwrap().board;
+        let channels = board.of(Class::Stepgen).iter();
+        channels.map(|one| one.text(Class::Stepgen)).collect()
+    };
+    assert!(texts(PLASMA)[0].ends_with(" as="), "{:?}", texts(PLASMA));
+    assert!(texts(PLASMA)[1].ends_with(" as=torch-height"));
+}
+
+#[test]
+fn a_name_of_litexcnc_that_hal_cannot_have_is_refused_with_the_pin_that_would_be_too_long() {
+    let long = "torch-height2";
+    let said = json(&renamed("torch-height", long)).unwrap_err();
+    for part in [
+        "modules[3].instances[1].name",
+        long,
+        "47",
+        "plasma.stepgen.torch-height2.position-prediction has 48",
+        "shorten",
+    ] {
+        assert!(said.contains(part), "{part:?} is not in {said:?}");
+    }
+    let said = json(&renamed("torch-height", "07")).unwrap_err();
+    assert!(
+        said.contains("is a number") && said.contains("HAL file"),
+        "{said}"
+    );
+    let said = json(&renamed("torch-height", "x")).unwrap_err();
+    assert!(said.contains("already that of stepgen 0"), "{said}");
+    // What no HAL file can contain keeps its number, and a note says so.
+    let notes = json(&renamed("torch-height", "torch height"))
+        .unwrap()
+        .notes;
+    let note = notes.iter().find(|note| note.contains("no HAL file"));
+    assert!(note.unwrap().contains("\"torch height\""), "{notes:?}");
 }
 
 #[test]

@@ -243,6 +243,31 @@ fn the_reader_and_the_driver_agree_how_long_a_name_may_be() {
     }
 }
 
+#[test]
+fn the_reader_knows_litexcncs_longest_pin_of_each_class() {
+    let page = include_str!("../../docs/pins.md");
+    // `host/tests/pins.rs` compares the page with what is exported.
+    let rows = page.lines().filter(|line| line.starts_with("| `"));
+    let column = rows.filter_map(|row| row.split('|').nth(5));
+    let names = column.flat_map(|cell| cell.split_whitespace());
+    let names: Vec<&str> = names.map(|name| name.trim_matches(['`', '*'])).collect();
+    for class in Class::ALL {
+        let hal = class.hal();
+        let prefix = format!("{}.<nn>.", hal.class);
+        let pins = names.iter().filter_map(|name| name.strip_prefix(&prefix));
+        let pins = pins.filter(|pin| match class {
+            Class::Input => pin.starts_with("in") && !pin.starts_with("inv"),
+            Class::Output => pin.starts_with("out") || pin.starts_with("inv"),
+            Class::Stepgen | Class::Encoder | Class::Pwm => true,
+        });
+        let longest = pins.map(|pin| pin.len()).max();
+        assert!(longest <= Some(hal.litexcnc.len()), "{}", class.key());
+        let driver = include_str!("../src/names/litexcnc.rs");
+        let measured = format!("\"{}\", \"{}\")", hal.class, hal.litexcnc);
+        assert!(driver.contains(&measured), "the driver measures another");
+    }
+}
+
 /// What the TOML says is what the driver reads of the board: names and pins, by way of the blob.
 #[test]
 fn names_and_pins_of_the_file_are_what_the_driver_finds() {
