@@ -249,6 +249,34 @@ fn renamed(old: &str, new: &str) -> String {
 }
 
 #[test]
+fn the_manuals_spelling_of_instances_is_read_too_and_not_beside_the_other() {
+    let spelt = PLASMA.replace("\"instances\"", "\"instance\"");
+    assert_eq!(
+        json(&spelt).unwrap().board.channels,
+        json(PLASMA).unwrap().board.channels
+    );
+    let both = PLASMA.replacen("\"instances\"", "\"instance\": [], \"instances\"", 1);
+    let said = json(&both).unwrap_err();
+    assert!(
+        said.contains("modules[0].instance: is there beside instances"),
+        "{said}"
+    );
+    let none = PLASMA.replacen("\"instances\"", "\"instans\"", 1);
+    let said = json(&none).unwrap_err();
+    assert!(
+        said.contains("modules[0].instans") && said.contains("did you mean instance"),
+        "{said}"
+    );
+    let none = PLASMA.replacen(
+        "\"modules\": [",
+        "\"modules\": [ { \"module_type\": \"gpio\" },",
+        1,
+    );
+    let said = json(&none).unwrap_err();
+    assert!(said.contains("modules[0].instances: is missing"), "{said}");
+}
+
+#[test]
 fn a_name_of_litexcnc_is_kept_as_it_is_written_beside_ours() {
     let kept = |text: &str, class: Class| -> Vec<(String, Option<String>)> {
         let Imported { board, toml, .. } = json(text).unwrap();

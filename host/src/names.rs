@@ -258,6 +258,11 @@ impl<'b> Names<'b> {
         self.hal.alias(exported, theirs)
     }
 
+    /// A pin of theirs, two names.
+    fn second(&mut self, theirs: &str, other: &str) -> Result<(), ExportError> {
+        self.hal.alias_own(theirs, other)
+    }
+
     /// A number of ours that HAL sets, as it is in force.
     fn checked(&self, logical: &str) -> Result<Source, ExportError> {
         let source = self.ours(logical)?.source.clone();

@@ -4,7 +4,7 @@
 #[path = "common/fake_board.rs"]
 mod common;
 
-use common::rig::load_with;
+use common::rig::{Rig, load_with};
 use common::{FakeBoard, MILL6_ROW, Time};
 use ferrocnc::hal::fake::FakeHal;
 use ferrocnc::hal::{Direction, Type};
@@ -99,9 +99,10 @@ fn every_pin_is_on_the_page_with_its_type_and_nothing_else_is() {
 /// Aliases and pins of their own, exported under `prefix`, against a column of the page.
 fn compare(scheme: &Scheme, prefix: &str, column: usize, alone: &str) {
     let hal = export(Some(scheme));
-    let aliases: BTreeSet<String> = hal
-        .aliases()
-        .filter_map(|(name, _, _)| general(name, prefix))
+    // Starred, if the pin it belongs to is one of theirs, too.
+    let aliases: BTreeSet<(String, bool)> = hal
+        .aliases_of()
+        .filter_map(|(name, of)| Some((general(name, prefix)?, of.starts_with(prefix))))
         .collect();
     let own: BTreeMap<String, String> = hal
         .list()
@@ -117,8 +118,8 @@ fn compare(scheme: &Scheme, prefix: &str, column: usize, alone: &str) {
             page.insert((name.to_owned(), true));
         }
     }
-    let exported = aliases.into_iter().map(|name| (name, false));
-    let exported: BTreeSet<_> = exported
+    let exported: BTreeSet<_> = aliases
+        .into_iter()
         .chain(own.into_keys().map(|name| (name, true)))
         .collect();
     let missing: Vec<_> = exported.difference(&page).collect();
@@ -281,6 +282,28 @@ fn a_board_that_mixes_inputs_and_outputs_and_does_not_say_their_row_is_refused_i
     let mut hal = FakeHal::new();
     let (_, identity) = load_with(&FakeBoard::saying(&[]), &mut hal, 0);
     assert_eq!(Scheme::Lcnc.check(0, &identity), Ok(()));
+}
+
+#[test]
+fn the_names_before_litexcnc_1_2_show_what_the_newer_ones_do() {
+    let mut rig = Rig::named(&Scheme::LitexCnc(vec!["test".to_owned()]));
+    rig.hal.set("test.stepgen.00.position-scale", 100.0);
+    rig.hal.set("test.stepgen.00.max-acceleration", 5000.0);
+    rig.arm();
+    rig.hal.set("test.stepgen.00.enable", true);
+    rig.hal.set("test.stepgen.00.velocity-mode", true);
+    rig.hal.set("test.stepgen.00.velocity-cmd", 20.0);
+    rig.run(50);
+    for (old, new) in [
+        ("position_fb", "position-feedback"),
+        ("speed_fb", "velocity-feedback"),
+        ("position_prediction", "position-prediction"),
+        ("speed_prediction", "velocity-prediction"),
+    ] {
+        let value = |pin: &str| rig.hal.get::<f64>(&format!("test.stepgen.00.{pin}"));
+        assert_eq!(value(old), value(new), "{old}");
+        assert!(value(old) > 0.0, "{old} is {}", value(old));
+    }
 }
 
 #[test]

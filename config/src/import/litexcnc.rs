@@ -111,7 +111,12 @@ const MODULE: &[Key] = &[
         Kind::OneOf(&["gpio", "pwm", "encoder", "stepgen"]),
         "\"gpio\", \"pwm\", \"encoder\" or \"stepgen\": others have no counterpart here",
     ),
-    must("instances", Kind::Any, "a list of instances"),
+    may("instances", Kind::Any, "a list of instances"),
+    may(
+        "instance",
+        Kind::Any,
+        "the same, as the manual spells it: a list of instances",
+    ),
 ];
 const BOARD: &[Key] = &[
     must("board_name", Kind::Text, "the board's name in HAL"),
@@ -280,9 +285,10 @@ pub fn litexcnc(
     // watchdog's pins are not in it.
     let mut row = 0;
     for module in at.tables("modules")? {
-        let nodes = module.nodes("instances")?;
+        let key = instances(&module)?;
+        let nodes = module.nodes(key)?;
         for (n, node) in nodes.iter().enumerate() {
-            let path = format!("{}[{n}]", module.key("instances"));
+            let path = format!("{}[{n}]", module.key(key));
             match module.text("module_type") {
                 Some("gpio") => {
                     gpio(&mut draft, &At::new(file, &path, node, GPIO)?, row)?;
@@ -320,6 +326,23 @@ pub fn litexcnc(
         "Imported from LiteX-CNC. `names=litexcnc:{board_name}` gives the channels their old HAL names, by number; `names=litexcnc-named:{board_name}` those with a name by it (docs/migration.md)."
     );
     draft.finish(head)
+}
+
+/// The key of a module's instances: one of two.
+fn instances(module: &At<'_>) -> Result<&'static str, Error> {
+    match (module.any("instances"), module.any("instance")) {
+        (Some(_), None) => Ok("instances"),
+        (None, Some(_)) => Ok("instance"),
+        (Some(_), Some(_)) => Err(module.error(
+            "instance",
+            "",
+            "is there beside instances",
+            "leave one of the two, with all of them",
+        )),
+        (None, None) => {
+            Err(module.error("instances", "", "is missing", "write a list of instances"))
+        }
+    }
 }
 
 fn network(draft: &mut Draft<'_>, file: &str, at: &At<'_>) -> Result<(), Error> {

@@ -163,6 +163,16 @@ fn stepgen(names: &mut Names<'_>, n: u8, called: &str) -> Result<(), ExportError
     names.publish((&theirs("max-frequency"), Float, ReadOnly), move || {
         1e9 / (steplen.get() + stepspace.get()).max(1.0)
     })?;
+    // As it wrote them before 1.2, and still does in its manual. A pin has one alias, so two are
+    // copies.
+    names.second(&theirs("position-feedback"), &theirs("position_fb"))?;
+    names.second(&theirs("velocity-feedback"), &theirs("speed_fb"))?;
+    for (their, our) in [
+        ("position_prediction", "position-fb"),
+        ("speed_prediction", "velocity-fb"),
+    ] {
+        names.show((&theirs(their), Float, Out), &ours(our), |value| value)?;
+    }
     names.index_pulse(&theirs("index-pulse"), &ours("index-enable"))
 }
 
