@@ -25,6 +25,8 @@ pub struct Imported {
     pub board: Board,
     /// The board file.
     pub toml: String,
+    /// What the other driver's HAL names begin with.
+    pub prefix: String,
     /// What a person should know: what had no counterpart, what was assumed.
     pub notes: Vec<String>,
 }
@@ -35,8 +37,8 @@ struct Draft<'p> {
     platforms: &'p dyn Platforms,
     board: Board,
     notes: Vec<String>,
-    /// What LiteX-CNC's HAL names begin with.
-    litexcnc_board: String,
+    /// What the other driver's HAL names begin with.
+    prefix: String,
     /// LiteX-CNC's step generators that stop at once.
     hard_stops: Vec<String>,
     /// Key of ours, their key, its place.
@@ -89,7 +91,7 @@ impl<'p> Draft<'p> {
             platforms,
             board,
             notes: Vec::new(),
-            litexcnc_board: String::new(),
+            prefix: String::new(),
             hard_stops: Vec::new(),
             origins: Vec::new(),
         })
@@ -208,6 +210,7 @@ impl<'p> Draft<'p> {
             Ok(board) => Ok(Imported {
                 board,
                 toml,
+                prefix: self.prefix,
                 notes: self.notes,
             }),
             Err(error) => Err(self.in_their_words(error)),

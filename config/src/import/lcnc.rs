@@ -58,6 +58,7 @@ pub fn lcnc(
     only_known(file, &sections)?;
     hardware.only_known()?;
     let mut draft = Draft::new(file, name, hardware.platform()?, platforms)?;
+    "Lcnc.00".clone_into(&mut draft.prefix);
     hardware.clock(&mut draft)?;
     hardware.network(&mut draft)?;
     let reset = hardware.get("reset_in")?;

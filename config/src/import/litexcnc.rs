@@ -276,7 +276,7 @@ pub fn litexcnc(
             "The clock is 60 MHz, not {hz} Hz: the driver asks the board, nothing in HAL changes."
         ));
     }
-    board_name.clone_into(&mut draft.litexcnc_board);
+    board_name.clone_into(&mut draft.prefix);
     network(&mut draft, file, &at)?;
     if let Some(watchdog) = at.table("watchdog")? {
         self::watchdog(&mut draft, &watchdog)?;
@@ -694,7 +694,7 @@ fn named(
         draft.notes.push(format!("{}: no HAL file can contain the name {name:?}, so `names=litexcnc-named` calls the channel by its number.", at.key("")));
         return Ok(None);
     }
-    let pin = class.hal().litexcnc_pin(&draft.litexcnc_board, name);
+    let pin = class.hal().litexcnc_pin(&draft.prefix, name);
     if pin.len() > HAL_NAME_LEN {
         let problem = format!(
             "is too long: HAL takes {HAL_NAME_LEN} characters and {pin} has {}",

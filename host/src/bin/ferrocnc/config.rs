@@ -1,6 +1,7 @@
 //! `ferrocnc config`: writes, checks, shows and draws board files, and imports those of other
 //! projects. It needs no board.
 
+use crate::hal_file::{self, Rewritten};
 use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, Subcommand, ValueEnum};
 use ferrocnc_config::board::Platforms;
@@ -59,7 +60,11 @@ pub(crate) enum ConfigCommand {
         /// The file, or the folder, to write to; the current folder if not given.
         #[arg(long, short, value_name = "BOARD.toml")]
         output: Option<PathBuf>,
-        /// Overwrite it.
+        /// LiteX-CNC's HAL file: write FILE-ferrocnc.hal beside it, with our loadrt line, if every
+        /// name of the board in it exists.
+        #[arg(long, value_name = "FILE.hal")]
+        hal: Option<PathBuf>,
+        /// Overwrite what is there.
         #[arg(long)]
         force: bool,
     },
@@ -140,8 +145,16 @@ pub(crate) fn run(command: &ConfigCommand, as_json: bool) -> Result<()> {
             file,
             name,
             output,
+            hal,
             force,
-        } => import(*from, file, name.as_deref(), output.as_deref(), *force),
+        } => {
+            let to = target(
+                name.as_deref().unwrap_or(&stem(file)),
+                output.as_deref(),
+                *force,
+            )?;
+            import(*from, file, &to, hal.as_deref(), *force)
+        }
         ConfigCommand::Schema { platform } => {
             let schema = if *platform {
                 schema::platform()
@@ -312,29 +325,54 @@ fn platform(what: &Path) -> Result<Option<Platform>> {
     Ok(Some(Platform::read(name, &stem(what), &read_text(what)?)?))
 }
 
-fn import(
-    from: From,
-    file: &Path,
-    name: Option<&str>,
-    output: Option<&Path>,
-    force: bool,
-) -> Result<()> {
+fn import(from: From, file: &Path, to: &Path, hal: Option<&Path>, force: bool) -> Result<()> {
     let text = read_text(file)?;
     let shown = file.display().to_string();
-    let to = target(name.unwrap_or(&stem(file)), output, force)?;
-    let name = stem(&to);
-    let folder = Folder::beside(&to);
-    let Imported { board, toml, notes } = match from {
-        From::Lcnc => lcnc(&shown, &text, &name, &folder)?,
-        From::Litexcnc => litexcnc(&shown, &text, &name, &folder)?,
+    let name = stem(to);
+    let folder = Folder::beside(to);
+    let imported = match (from, hal) {
+        (From::Lcnc, Some(_)) => bail!(
+            "--hal is for litexcnc; of a HAL file for Lcnc change the one line yourself: loadrt ferrocnc boards=IP names=lcnc"
+        ),
+        (From::Lcnc, None) => lcnc(&shown, &text, &name, &folder)?,
+        (From::Litexcnc, _) => litexcnc(&shown, &text, &name, &folder)?,
     };
-    ferrocnc_config::blob::blob(&board)?;
-    save(&to, &toml)?;
+    ferrocnc_config::blob::blob(&imported.board)?;
+    // Before anything is written: its names may not exist.
+    let rewritten = hal.map(|hal| rewrite(hal, &imported, force)).transpose()?;
+    let Imported {
+        board, toml, notes, ..
+    } = imported;
+    save(to, &toml)?;
     say(&format!("  {}\n", counts(&board)))?;
     for note in notes {
         say(&format!("  note: {note}\n"))?;
     }
+    if let Some((file, rewritten)) = rewritten {
+        let (line, old, new) = rewritten.changed;
+        save(&file, &rewritten.text)?;
+        say(&format!("  {line} - {old}\n  {line} + {new}\n"))?;
+        say(&format!(
+            "  all {} names of the board in it exist\n",
+            rewritten.names
+        ))?;
+        for note in rewritten.notes {
+            say(&format!("  note: {note}\n"))?;
+        }
+    }
     Ok(())
+}
+
+/// A HAL file for the imported board, and where to write it.
+fn rewrite(file: &Path, imported: &Imported, force: bool) -> Result<(PathBuf, Rewritten)> {
+    let to = file.with_file_name(format!("{}-ferrocnc.hal", stem(file)));
+    if to.exists() && !force {
+        bail!("{} is there already; --force overwrites it", to.display());
+    }
+    let shown = file.display().to_string();
+    let text = read_text(file)?;
+    let rewritten = hal_file::rewrite(&shown, &text, &imported.board, &imported.prefix)?;
+    Ok((to, rewritten))
 }
 
 /// Where to write a configuration of this name.
