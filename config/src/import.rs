@@ -10,6 +10,7 @@ mod lcnc;
 mod litexcnc;
 
 pub use lcnc::lcnc;
+pub(crate) use lcnc::{CHANNELS as LCNC_CHANNELS, PLATFORMS as LCNC_PLATFORMS};
 pub use litexcnc::litexcnc;
 
 use crate::board::{Board, Channel, Class, ControlInput, Modified, Platforms};
@@ -108,14 +109,7 @@ impl<'p> Draft<'p> {
         place: Option<Place>,
     ) {
         let number = self.board.of(class).len();
-        let prefix = match class {
-            Class::Stepgen => "sg",
-            Class::Encoder => "enc",
-            Class::Pwm => "pwm",
-            Class::Input => "in",
-            Class::Output => "out",
-        };
-        let numbered = format!("{prefix}-{number:02}");
+        let numbered = class.numbered(number);
         let room = class.hal().room();
         let wanted = name.unwrap_or(&numbered);
         let mut ours = match hal::is_name(wanted) && wanted.len() <= room {

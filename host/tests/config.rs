@@ -417,6 +417,45 @@ fn a_hal_file_whose_board_cannot_be_told_is_refused_with_its_line() {
 }
 
 #[test]
+fn an_export_is_written_and_imports_again_and_one_that_cannot_be_is_refused_with_every_key() {
+    let folder = Folder::new("export");
+    let board = boards("75b_v8_14o11i6s6e6p.toml");
+    let said = folder.says(&["export", "lcnc", &board]);
+    assert!(said.contains("75b_v8_14o11i6s6e6p.ini: written"), "{said}");
+    assert!(said.contains("note: "), "{said}");
+    let again = folder.refuses(&["export", "lcnc", &board]);
+    assert!(again.contains("--force"), "{again}");
+    folder.says(&[
+        "import",
+        "lcnc",
+        "75b_v8_14o11i6s6e6p.ini",
+        "--name",
+        "again",
+    ]);
+    folder.says(&["check", "again.toml"]);
+    let said = folder.refuses(&["export", "litexcnc", &board, "-o", "x.json"]);
+    for part in [
+        "name: \"75b_v8_14o11i6s6e6p\" cannot be said to LiteX-CNC",
+        "ext_reset.pin: \"j8:6\" cannot be said",
+        "nothing was written",
+    ] {
+        assert!(said.contains(part), "{part:?} is not in {said}");
+    }
+    assert!(!folder.0.join("x.json").exists());
+    let json = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/peers/litexcnc.json");
+    folder.says(&[
+        "import",
+        "litexcnc",
+        json.to_str().unwrap(),
+        "--name",
+        "mill",
+    ]);
+    folder.says(&["export", "litexcnc", "mill.toml"]);
+    folder.says(&["import", "litexcnc", "mill.json", "--name", "third"]);
+    folder.says(&["check", "third.toml"]);
+}
+
+#[test]
 fn the_reader_and_the_driver_agree_how_long_a_name_may_be() {
     let pins =
         std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/driver/export.rs"))

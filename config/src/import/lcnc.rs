@@ -8,10 +8,10 @@ use crate::platform::Level;
 use crate::tree::nearest;
 
 /// A section's name, what it becomes, its keys' endings and ours.
-type Channels = (&'static str, Class, &'static [(&'static str, &'static str)]);
+pub(crate) type Channels = (&'static str, Class, &'static [(&'static str, &'static str)]);
 
 /// Its sections: their keys' endings after the channel's number, and what they become.
-const CHANNELS: [Channels; 5] = [
+pub(crate) const CHANNELS: [Channels; 5] = [
     ("inputs", Class::Input, &[("", "pin")]),
     ("outputs", Class::Output, &[("", "pin")]),
     ("pwms", Class::Pwm, &[("", "pin")]),
@@ -27,7 +27,7 @@ const HARDWARE: [&str; 8] = [
 ];
 
 /// Board and revision -> platform.
-const PLATFORMS: &[(&str, &str, &str)] = &[
+pub(crate) const PLATFORMS: &[(&str, &str, &str)] = &[
     ("5a-75b", "6.1", "5a-75b-6.1"),
     ("5a-75b", "7.0", "5a-75b-7.0"),
     ("5a-75b", "8.0", "5a-75b-8.0"),

@@ -7,6 +7,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use ferrocnc_config::board::Platforms;
 use ferrocnc_config::import::{Imported, lcnc, litexcnc};
 use ferrocnc_config::new::{Wanted, layout};
+use ferrocnc_config::peers;
 use ferrocnc_config::pinout::{self, Pinout};
 use ferrocnc_config::source::{Folder, read_text};
 use ferrocnc_config::{Board, Error, Platform, export, read_board, schema, show, write};
@@ -65,6 +66,21 @@ pub(crate) enum ConfigCommand {
         #[arg(long, value_name = "FILE.hal")]
         hal: Option<PathBuf>,
         /// Overwrite what is there.
+        #[arg(long)]
+        force: bool,
+    },
+    /// Write a board file as a configuration of another project, if that can say all of it.
+    Export {
+        /// The other project.
+        #[arg(value_enum)]
+        to: From,
+        /// A board file.
+        #[arg(value_name = "BOARD.toml")]
+        file: PathBuf,
+        /// The file to write; NAME.ini or NAME.json in the current folder if not given.
+        #[arg(long, short, value_name = "FILE")]
+        output: Option<PathBuf>,
+        /// Overwrite it.
         #[arg(long)]
         force: bool,
     },
@@ -155,6 +171,12 @@ pub(crate) fn run(command: &ConfigCommand, as_json: bool) -> Result<()> {
             )?;
             import(*from, file, &to, hal.as_deref(), *force)
         }
+        ConfigCommand::Export {
+            to,
+            file,
+            output,
+            force,
+        } => export_to(*to, file, output.as_deref(), *force),
         ConfigCommand::Schema { platform } => {
             let schema = if *platform {
                 schema::platform()
@@ -373,6 +395,28 @@ fn rewrite(file: &Path, imported: &Imported, force: bool) -> Result<(PathBuf, Re
     let text = read_text(file)?;
     let rewritten = hal_file::rewrite(&shown, &text, &imported.board, &imported.prefix)?;
     Ok((to, rewritten))
+}
+
+fn export_to(to: From, file: &Path, output: Option<&Path>, force: bool) -> Result<()> {
+    let board = read_board(file)?;
+    let (theirs, ending, written) = match to {
+        From::Lcnc => ("Lcnc", "ini", peers::lcnc(&board)),
+        From::Litexcnc => ("LiteX-CNC", "json", peers::litexcnc(&board)),
+    };
+    let written = written.map_err(|refusals| {
+        let lines: String = refusals.iter().map(|one| format!("{one}\n")).collect();
+        anyhow!("{lines}nothing was written: {theirs} cannot say this board")
+    })?;
+    let name = format!("{}.{ending}", board.name);
+    let to = output.map_or_else(|| PathBuf::from(name), Path::to_owned);
+    if to.exists() && !force {
+        bail!("{} is there already; --force overwrites it", to.display());
+    }
+    save(&to, &written.text)?;
+    for note in written.notes {
+        say(&format!("  note: {note}\n"))?;
+    }
+    Ok(())
 }
 
 /// Where to write a configuration of this name.
