@@ -519,6 +519,32 @@ fn the_ini_of_a_machine_is_refused_by_name_with_the_file_that_is_wanted() {
     }
 }
 
+/// LiteX-CNC's `5a-75e_v7.1_i48o56.json`: every pin of the card.
+#[test]
+fn more_inputs_than_a_word_has_bits_are_refused_with_their_number_and_that_of_the_gateware() {
+    let own = (1..=16).flat_map(|j| [0, 1, 2, 4, 5, 6].map(|pin| format!("j{j}:{pin}")));
+    let shared = (7..=14).map(|pin| format!("j1:{pin}"));
+    let row = own.chain(shared).enumerate().map(|(n, pin)| {
+        let direction = if n < 48 { "in" } else { "out" };
+        serde_json::json!({ "direction": direction, "pin": pin, "name": pin })
+    });
+    let all = serde_json::json!({
+        "board_name": "i48o56",
+        "board_type": "5A-75E v7.1",
+        "connection": { "mac_address": "0x10e2d5000000" },
+        "watchdog": {},
+        "modules": [{ "module_type": "gpio", "instances": row.collect::<Vec<_>>() }],
+    });
+    let said = json(&all.to_string()).unwrap_err();
+    for part in [
+        "has 48 of what becomes gpio_in",
+        "gateware has 32",
+        "two boards",
+    ] {
+        assert!(said.contains(part), "{part:?} is not in {said:?}");
+    }
+}
+
 #[test]
 fn a_bad_json_is_refused_by_its_own_words() {
     let cases: [(&str, &str, &[&str]); 17] = [
