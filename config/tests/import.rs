@@ -519,23 +519,29 @@ fn the_ini_of_a_machine_is_refused_by_name_with_the_file_that_is_wanted() {
     }
 }
 
-/// LiteX-CNC's `5a-75e_v7.1_i48o56.json`: every pin of the card.
-#[test]
-fn more_inputs_than_a_word_has_bits_are_refused_with_their_number_and_that_of_the_gateware() {
+/// A JSON of the 5A-75E: inputs on its first pins, outputs on the next, each called by its pin.
+fn all_named(inputs: usize, outputs: usize) -> String {
     let own = (1..=16).flat_map(|j| [0, 1, 2, 4, 5, 6].map(|pin| format!("j{j}:{pin}")));
     let shared = (7..=14).map(|pin| format!("j1:{pin}"));
-    let row = own.chain(shared).enumerate().map(|(n, pin)| {
-        let direction = if n < 48 { "in" } else { "out" };
+    let pins = own.chain(shared).take(inputs + outputs).enumerate();
+    let row = pins.map(|(n, pin)| {
+        let direction = if n < inputs { "in" } else { "out" };
         serde_json::json!({ "direction": direction, "pin": pin, "name": pin })
     });
     let all = serde_json::json!({
-        "board_name": "i48o56",
+        "board_name": "all",
         "board_type": "5A-75E v7.1",
         "connection": { "mac_address": "0x10e2d5000000" },
         "watchdog": {},
         "modules": [{ "module_type": "gpio", "instances": row.collect::<Vec<_>>() }],
     });
-    let said = json(&all.to_string()).unwrap_err();
+    all.to_string()
+}
+
+/// As LiteX-CNC's `5a-75e_v7.1_i48o56.json`: every pin of the card.
+#[test]
+fn more_inputs_than_a_word_has_bits_are_refused_with_their_number_and_that_of_the_gateware() {
+    let said = json(&all_named(48, 56)).unwrap_err();
     for part in [
         "has 48 of what becomes gpio_in",
         "gateware has 32",
@@ -543,6 +549,22 @@ fn more_inputs_than_a_word_has_bits_are_refused_with_their_number_and_that_of_th
     ] {
         assert!(said.contains(part), "{part:?} is not in {said:?}");
     }
+}
+
+#[test]
+fn names_of_litexcnc_that_the_board_has_no_room_for_are_refused_with_the_key_to_leave_out() {
+    let blob = |text: &str| ferrocnc_config::blob::blob(&json(text).unwrap().board);
+    assert!(blob(&all_named(24, 24)).is_ok());
+    let said = blob(&all_named(32, 32)).unwrap_err().to_string();
+    for part in ["the board has 2048", "litexcnc_name", "name in its JSON"] {
+        assert!(said.contains(part), "{part:?} is not in {said:?}");
+    }
+    // Without them it fits.
+    let mut unnamed: serde_json::Value = serde_json::from_str(&all_named(32, 32)).unwrap();
+    for instance in unnamed["modules"][0]["instances"].as_array_mut().unwrap() {
+        instance.as_object_mut().unwrap().remove("name");
+    }
+    assert!(blob(&unnamed.to_string()).is_ok());
 }
 
 #[test]
