@@ -31,7 +31,7 @@ pub fn blob(board: &Board) -> Result<Vec<u8>, Error> {
             key: String::new(),
             value: String::new(),
             problem: format!("describes itself in {total} bytes and the board has {ROM}"),
-            remedy: "shorten the names of the channels".to_owned(),
+            remedy: "shorten the names of the channels, or leave out some of those they had in LiteX-CNC (litexcnc_name, name in its JSON)".to_owned(),
         }));
     }
     let head = [MAGIC, VERSION, total as u32, crc32(&body)];

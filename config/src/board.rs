@@ -200,7 +200,7 @@ fn channels(at: &At<'_>, wiring: &mut Wiring<'_>) -> Result<[Vec<Channel>; 5], E
     let mut channels: [Vec<Channel>; 5] = Default::default();
     let mut row = BTreeMap::new();
     for (class, channels) in Class::ALL.into_iter().zip(&mut channels) {
-        let mut names = BTreeMap::new();
+        let (mut names, mut theirs) = (BTreeMap::new(), BTreeMap::new());
         for (n, table) in at.tables(class.key())?.into_iter().enumerate() {
             let one = Channel::read(&table, class, n, &mut names, wiring)?;
             if let Some(number) = one.litexcnc
@@ -211,6 +211,16 @@ fn channels(at: &At<'_>, wiring: &mut Wiring<'_>) -> Result<[Vec<Channel>; 5], E
                     &number.to_string(),
                     format!("is already {other}'s"),
                     "LiteX-CNC counts inputs and outputs in one row, so each number is there once",
+                ));
+            }
+            if let Some(name) = &one.litexcnc_name
+                && let Some(other) = theirs.insert(name.clone(), n)
+            {
+                return Err(table.error(
+                    "litexcnc_name",
+                    &format!("{name:?}"),
+                    format!("is already {}[{other}]'s", class.key()),
+                    "give every channel of a kind a name of its own, here and in the HAL file",
                 ));
             }
             channels.push(one);

@@ -10,6 +10,7 @@ mod lcnc;
 mod litexcnc;
 
 pub use lcnc::lcnc;
+pub(crate) use lcnc::{CHANNELS as LCNC_CHANNELS, PLATFORMS as LCNC_PLATFORMS};
 pub use litexcnc::litexcnc;
 
 use crate::board::{Board, Channel, Class, ControlInput, Modified, Platforms};
@@ -25,6 +26,8 @@ pub struct Imported {
     pub board: Board,
     /// The board file.
     pub toml: String,
+    /// What the other driver's HAL names begin with.
+    pub prefix: String,
     /// What a person should know: what had no counterpart, what was assumed.
     pub notes: Vec<String>,
 }
@@ -35,6 +38,8 @@ struct Draft<'p> {
     platforms: &'p dyn Platforms,
     board: Board,
     notes: Vec<String>,
+    /// What the other driver's HAL names begin with.
+    prefix: String,
     /// LiteX-CNC's step generators that stop at once.
     hard_stops: Vec<String>,
     /// Key of ours, their key, its place.
@@ -87,12 +92,13 @@ impl<'p> Draft<'p> {
             platforms,
             board,
             notes: Vec::new(),
+            prefix: String::new(),
             hard_stops: Vec::new(),
             origins: Vec::new(),
         })
     }
 
-    /// Adds a channel. A name HAL cannot have is changed, and said so; without a name it gets its
+    /// Adds a channel. A name ours cannot be is changed, and said so; without a name it gets its
     /// number.
     fn push(
         &mut self,
@@ -103,14 +109,7 @@ impl<'p> Draft<'p> {
         place: Option<Place>,
     ) {
         let number = self.board.of(class).len();
-        let prefix = match class {
-            Class::Stepgen => "sg",
-            Class::Encoder => "enc",
-            Class::Pwm => "pwm",
-            Class::Input => "in",
-            Class::Output => "out",
-        };
-        let numbered = format!("{prefix}-{number:02}");
+        let numbered = class.numbered(number);
         let room = class.hal().room();
         let wanted = name.unwrap_or(&numbered);
         let mut ours = match hal::is_name(wanted) && wanted.len() <= room {
@@ -121,7 +120,11 @@ impl<'p> Draft<'p> {
             ours.clone_from(&numbered);
         }
         if name.is_some_and(|name| name != ours) {
-            self.notes.push(format!("{origin}: the name {wanted:?} became \"{ours}\": HAL has lower case, digits and hyphens, and {room} characters here."));
+            let kept = match &channel.litexcnc_name {
+                Some(_) => "; `names=litexcnc-named` keeps the old one",
+                None => "",
+            };
+            self.notes.push(format!("{origin}: the name {wanted:?} became \"{ours}\": our names have lower case, digits and hyphens, and {room} characters here{kept}."));
         }
         channel.name = ours;
         self.origins
@@ -201,6 +204,7 @@ impl<'p> Draft<'p> {
             Ok(board) => Ok(Imported {
                 board,
                 toml,
+                prefix: self.prefix,
                 notes: self.notes,
             }),
             Err(error) => Err(self.in_their_words(error)),

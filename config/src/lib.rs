@@ -13,6 +13,7 @@ pub mod export;
 pub mod hal;
 pub mod import;
 pub mod new;
+pub mod peers;
 pub mod pinout;
 pub mod platform;
 pub mod schema;

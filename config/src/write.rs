@@ -93,6 +93,9 @@ fn channel(out: &mut String, class: Class, channel: &Channel) {
     if let Some(number) = channel.litexcnc {
         let _ = writeln!(out, "litexcnc = {number}");
     }
+    if let Some(name) = &channel.litexcnc_name {
+        let _ = writeln!(out, "litexcnc_name = {}", quoted(name));
+    }
 }
 
 fn line(line: &ControlInput) -> String {

@@ -180,7 +180,7 @@ fn the_newer_litexcnc_keeps_types_estops_and_the_index() {
     let stepgen = &board.of(Class::Stepgen)[0];
     assert_eq!(
         stepgen.text(Class::Stepgen),
-        "step=j3:0 step_n=j3:1 dir=j3:2 dir_n=j3:4 index=j7:1"
+        "step=j3:0 step_n=j3:1 dir=j3:2 dir_n=j3:4 index=j7:1 as="
     );
     assert_eq!(
         board.of(Class::Stepgen)[1].name,
@@ -196,8 +196,8 @@ fn the_newer_litexcnc_keeps_types_estops_and_the_index() {
         pwms,
         [
             "pin=j1:2",
-            "pin=j1:4 dir=j1:5",
-            "pin=j2:0 dir=j2:1 type=up_down"
+            "pin=j1:4 dir=j1:5 as=",
+            "pin=j2:0 dir=j2:1 type=up_down as="
         ]
     );
     let inputs: Vec<_> = board
@@ -239,6 +239,108 @@ fn the_newer_litexcnc_keeps_types_estops_and_the_index() {
             "nothing said about {part}: {notes:#?}"
         );
     }
+}
+
+/// `PLASMA` with another name in the place of one it has.
+fn renamed(old: &str, new: &str) -> String {
+    let old = format!("\"name\": \"{old}\"");
+    assert!(PLASMA.contains(&old), "{old}");
+    PLASMA.replacen(&old, &format!("\"name\": {new:?}"), 1)
+}
+
+#[test]
+fn the_manuals_spelling_of_instances_is_read_too_and_not_beside_the_other() {
+    let spelt = PLASMA.replace("\"instances\"", "\"instance\"");
+    assert_eq!(
+        json(&spelt).unwrap().board.channels,
+        json(PLASMA).unwrap().board.channels
+    );
+    let both = PLASMA.replacen("\"instances\"", "\"instance\": [], \"instances\"", 1);
+    let said = json(&both).unwrap_err();
+    assert!(
+        said.contains("modules[0].instance: is there beside instances"),
+        "{said}"
+    );
+    let none = PLASMA.replacen("\"instances\"", "\"instans\"", 1);
+    let said = json(&none).unwrap_err();
+    assert!(
+        said.contains("modules[0].instans") && said.contains("did you mean instance"),
+        "{said}"
+    );
+    let none = PLASMA.replacen(
+        "\"modules\": [",
+        "\"modules\": [ { \"module_type\": \"gpio\" },",
+        1,
+    );
+    let said = json(&none).unwrap_err();
+    assert!(said.contains("modules[0].instances: is missing"), "{said}");
+}
+
+#[test]
+fn a_name_of_litexcnc_is_kept_as_it_is_written_beside_ours() {
+    let kept = |text: &str, class: Class| -> Vec<(String, Option<String>)> {
+        let Imported { board, toml, .. } = json(text).unwrap();
+        let again = Board::read("x.toml", "mill", &toml, &Folder::default()).unwrap();
+        assert_eq!(again.channels, board.channels, "the board file has them");
+        let channels = board.of(class).iter();
+        channels
+            .map(|one| (one.name.clone(), one.litexcnc_name.clone()))
+            .collect()
+    };
+    let pair = |ours: &str, theirs: Option<&str>| (ours.to_owned(), theirs.map(str::to_owned));
+    assert_eq!(
+        kept(PLASMA, Class::Stepgen),
+        [pair("x", Some("x")), pair("torch-h", Some("torch-height"))]
+    );
+    let written = renamed("x", "J1:10_Left").replace("\"torch-height\"", "\"24V.z/a+\"");
+    assert_eq!(
+        kept(&written, Class::Stepgen),
+        [
+            pair("j1-10-l", Some("J1:10_Left")),
+            pair("v-z-a", Some("24V.z/a+"))
+        ]
+    );
+    // Without a name there is a number; an e-stop's is no channel's name there.
+    assert_eq!(
+        kept(PLASMA, Class::Input)[..2],
+        [pair("estop-front", None), pair("estop-01", None)]
+    );
+    // The board says it, in few bytes where it is ours.
+    let texts = |text: &str| -> Vec<String> {
+        let board = json(text).unwrap().board;
+        let channels = board.of(Class::Stepgen).iter();
+        channels.map(|one| one.text(Class::Stepgen)).collect()
+    };
+    assert!(texts(PLASMA)[0].ends_with(" as="), "{:?}", texts(PLASMA));
+    assert!(texts(PLASMA)[1].ends_with(" as=torch-height"));
+}
+
+#[test]
+fn a_name_of_litexcnc_that_hal_cannot_have_is_refused_with_the_pin_that_would_be_too_long() {
+    let long = "torch-height2";
+    let said = json(&renamed("torch-height", long)).unwrap_err();
+    for part in [
+        "modules[3].instances[1].name",
+        long,
+        "47",
+        "plasma.stepgen.torch-height2.position-prediction has 48",
+        "shorten",
+    ] {
+        assert!(said.contains(part), "{part:?} is not in {said:?}");
+    }
+    let said = json(&renamed("torch-height", "07")).unwrap_err();
+    assert!(
+        said.contains("is a number") && said.contains("HAL file"),
+        "{said}"
+    );
+    let said = json(&renamed("torch-height", "x")).unwrap_err();
+    assert!(said.contains("already that of stepgen 0"), "{said}");
+    // What no HAL file can contain keeps its number, and a note says so.
+    let notes = json(&renamed("torch-height", "torch height"))
+        .unwrap()
+        .notes;
+    let note = notes.iter().find(|note| note.contains("no HAL file"));
+    assert!(note.unwrap().contains("\"torch height\""), "{notes:?}");
 }
 
 #[test]
@@ -389,6 +491,80 @@ fn a_bad_ini_is_refused_by_its_own_words() {
             );
         }
     }
+}
+
+#[test]
+fn the_ini_of_a_machine_is_refused_by_name_with_the_file_that_is_wanted() {
+    let machine = include_str!("../../host/examples/mill/mill.ini");
+    // Keys that are there twice are not what is wrong with it.
+    let twice = "# a mill\n[HAL]\nHALFILE = a.hal\nHALFILE = b.hal\n  [KINS]\n";
+    for (text, begins) in [
+        (machine, "router.ini:2:1: [DISPLAY]"),
+        (twice, "router.ini:5:1: [KINS]"),
+    ] {
+        let said = ini(text).unwrap_err();
+        assert!(said.starts_with(begins), "{said}");
+        for part in [
+            "LinuxCNC starts with",
+            "conf.ini",
+            "[Hardware]",
+            "--saveconf",
+        ] {
+            assert!(said.contains(part), "{part:?} is not in {said:?}");
+        }
+        let said = json(text).unwrap_err();
+        for part in ["LinuxCNC starts with", "board_type", "build_firmware"] {
+            assert!(said.contains(part), "{part:?} is not in {said:?}");
+        }
+    }
+}
+
+/// A JSON of the 5A-75E: inputs on its first pins, outputs on the next, each called by its pin.
+fn all_named(inputs: usize, outputs: usize) -> String {
+    let own = (1..=16).flat_map(|j| [0, 1, 2, 4, 5, 6].map(|pin| format!("j{j}:{pin}")));
+    let shared = (7..=14).map(|pin| format!("j1:{pin}"));
+    let pins = own.chain(shared).take(inputs + outputs).enumerate();
+    let row = pins.map(|(n, pin)| {
+        let direction = if n < inputs { "in" } else { "out" };
+        serde_json::json!({ "direction": direction, "pin": pin, "name": pin })
+    });
+    let all = serde_json::json!({
+        "board_name": "all",
+        "board_type": "5A-75E v7.1",
+        "connection": { "mac_address": "0x10e2d5000000" },
+        "watchdog": {},
+        "modules": [{ "module_type": "gpio", "instances": row.collect::<Vec<_>>() }],
+    });
+    all.to_string()
+}
+
+/// As LiteX-CNC's `5a-75e_v7.1_i48o56.json`: every pin of the card.
+#[test]
+fn more_inputs_than_a_word_has_bits_are_refused_with_their_number_and_that_of_the_gateware() {
+    let said = json(&all_named(48, 56)).unwrap_err();
+    for part in [
+        "has 48 of what becomes gpio_in",
+        "gateware has 32",
+        "two boards",
+    ] {
+        assert!(said.contains(part), "{part:?} is not in {said:?}");
+    }
+}
+
+#[test]
+fn names_of_litexcnc_that_the_board_has_no_room_for_are_refused_with_the_key_to_leave_out() {
+    let blob = |text: &str| ferrocnc_config::blob::blob(&json(text).unwrap().board);
+    assert!(blob(&all_named(24, 24)).is_ok());
+    let said = blob(&all_named(32, 32)).unwrap_err().to_string();
+    for part in ["the board has 2048", "litexcnc_name", "name in its JSON"] {
+        assert!(said.contains(part), "{part:?} is not in {said:?}");
+    }
+    // Without them it fits.
+    let mut unnamed: serde_json::Value = serde_json::from_str(&all_named(32, 32)).unwrap();
+    for instance in unnamed["modules"][0]["instances"].as_array_mut().unwrap() {
+        instance.as_object_mut().unwrap().remove("name");
+    }
+    assert!(blob(&unnamed.to_string()).is_ok());
 }
 
 #[test]

@@ -273,6 +273,31 @@ const CASES: &[Case] = &[
         &["already stepgen[0]'s"],
     ),
     (
+        "a name of LiteX-CNC's that no HAL file contains",
+        "name = \"y\"\nstep",
+        "name = \"y\"\nlitexcnc_name = \"y axis\"\nstep",
+        "stepgen[1].litexcnc_name",
+        &["\"y axis\"", "HAL file", "\"j1:10\""],
+    ),
+    (
+        "a name of LiteX-CNC's too long for HAL",
+        "name = \"y\"\nstep",
+        "name = \"y\"\nlitexcnc_name = \"the-y-axis-on-the-left\"\nstep",
+        "stepgen[1].litexcnc_name",
+        &[
+            "b.stepgen.the-y-axis-on-the-left.position-prediction",
+            "47",
+            "shorten",
+        ],
+    ),
+    (
+        "a name of LiteX-CNC's twice",
+        "name = \"x\"\nstep = \"j1:0\"\ndir = \"j1:1\"\n\n[[stepgen]]\nname = \"y\"\n",
+        "name = \"x\"\nlitexcnc_name = \"Y\"\nstep = \"j1:0\"\ndir = \"j1:1\"\n\n[[stepgen]]\nname = \"y\"\nlitexcnc_name = \"Y\"\n",
+        "stepgen[1].litexcnc_name",
+        &["already stepgen[0]'s", "HAL file"],
+    ),
+    (
         "a number of LiteX-CNC's row twice",
         "[[gpio_in]]\nname = \"limit-x\"\npin = \"j8:2\"\n\n[[gpio_in]]\nname = \"limit-y\"\n",
         "[[gpio_in]]\nname = \"limit-x\"\npin = \"j8:2\"\nlitexcnc = 7\n[[gpio_in]]\nname = \"limit-y\"\nlitexcnc = 7\n",

@@ -510,6 +510,16 @@ impl<'b> Exporter<'b> {
         check(text, result)
     }
 
+    /// Gives something that was exported here, and is listed, a second name.
+    pub fn alias_own(&mut self, own: &str, name: &str) -> Result<(), ExportError> {
+        let listed = self.catalogue.as_ref().and_then(|all| all.find(own));
+        let exported = listed.cloned().ok_or_else(|| ExportError {
+            name: own.to_owned(),
+            errno: -libc::ENOENT,
+        })?;
+        self.alias(&exported, name)
+    }
+
     fn pin<T: Value, D>(
         &mut self,
         name: &str,

@@ -66,7 +66,7 @@ exported!(rtapi_info_type_names, c"s".as_ptr());
 exported!(rtapi_info_address_names, (&raw const NAMES));
 exported!(
     rtapi_info_description_names,
-    c"Pins under other drivers' names as well: lcnc, or litexcnc[:NAME[,NAME...]]".as_ptr()
+    c"Pins under other drivers' names as well: lcnc, or litexcnc[-named][:NAME[,NAME...]]".as_ptr()
 );
 exported!(rtapi_info_type_key, c"s".as_ptr());
 exported!(rtapi_info_address_key, (&raw const KEY));

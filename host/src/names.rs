@@ -1,6 +1,6 @@
-//! `names=lcnc` and `names=litexcnc[:NAME,...]`: the pins of other drivers for the same boards, so
-//! that a HAL file for one of them needs only another `loadrt` line. Tests run LinuxCNC with the
-//! two files in `host/examples/peers`.
+//! `names=lcnc`, `names=litexcnc[:NAME,...]` and `names=litexcnc-named[:NAME,...]`: the pins of
+//! other drivers for the same boards, so that a HAL file for one of them needs only another
+//! `loadrt` line. Tests run LinuxCNC with the two files in `host/examples/peers`.
 //!
 //! If a pin of the other driver equals one of ours in type, direction and unit, it becomes a HAL
 //! alias: one pin with two names. If it differs, it is a pin of its own, coupled to ours by glue
@@ -21,6 +21,7 @@ use crate::hal::checked::{Rule, Source, Watch};
 use crate::hal::{Backend, Catalogue, Direction, ExportError, Exported, Exporter, Handle, Type};
 use Direction::Out;
 use Type::Bit;
+use wire::board::HAL_NAME_LEN;
 
 /// The driver with the names.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -29,6 +30,9 @@ pub enum Scheme {
     Lcnc,
     /// `NAME.*`: a name per board; the board's own configuration name where none is given.
     LitexCnc(Vec<String>),
+    /// The same, where the channels that have a name in its JSON are called by it, and not by their
+    /// number. A pin has one alias in HAL, so it is one or the other.
+    LitexCncNamed(Vec<String>),
 }
 
 /// Why a board does not get others' names.
@@ -39,6 +43,19 @@ pub enum NamesError {
     /// This board does not say which number LiteX-CNC gave its inputs and outputs, and our numbers
     /// differ.
     Row(String, RowError),
+    /// This board gives a channel a name of LiteX-CNC's that is none.
+    Name(String, NameError),
+}
+
+/// What is wrong with the name of a channel in LiteX-CNC.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum NameError {
+    /// Not a word of a HAL file.
+    NoWord(String),
+    /// Two channels of a kind have this one.
+    Twice(String),
+    /// This pin would be too long for HAL.
+    Long(String),
 }
 
 /// What is wrong with the numbers of a board's inputs and outputs in LiteX-CNC's row.
@@ -57,7 +74,7 @@ impl core::fmt::Display for NamesError {
         match self {
             NamesError::Scheme(text) => write!(
                 f,
-                "\"{text}\" is not valid for names=; write names=lcnc, names=litexcnc or names=litexcnc:NAME[,NAME...], one per board"
+                "\"{text}\" is not valid for names=; write names=lcnc, names=litexcnc or names=litexcnc:NAME[,NAME...], one per board, or litexcnc-named in place of litexcnc"
             ),
             NamesError::Row(prefix, wrong) => {
                 write!(f, "names=litexcnc cannot number gpio of \"{prefix}\": ")?;
@@ -76,6 +93,27 @@ impl core::fmt::Display for NamesError {
                     "; import that JSON again (ferrocnc config import litexcnc), or write litexcnc = NUMBER beside each [[gpio_in]] and [[gpio_out]] of the board file, then build and update the board",
                 )
             }
+            NamesError::Name(prefix, wrong) => {
+                write!(
+                    f,
+                    "names=litexcnc-named cannot name a channel of \"{prefix}\": "
+                )?;
+                match wrong {
+                    NameError::NoWord(name) => write!(
+                        f,
+                        "the board says {name:?}, which no HAL file can contain; correct litexcnc_name in the board file, then build and update the board"
+                    ),
+                    NameError::Twice(name) => write!(
+                        f,
+                        "the board calls two channels {name:?}; correct litexcnc_name in the board file, then build and update the board"
+                    ),
+                    NameError::Long(pin) => write!(
+                        f,
+                        "{pin} has {} characters and HAL takes {HAL_NAME_LEN}; write a shorter name of the board, names=litexcnc-named:NAME, here and in the HAL file",
+                        pin.len()
+                    ),
+                }
+            }
         }
     }
 }
@@ -90,8 +128,14 @@ impl Scheme {
             "" => Ok(None),
             "lcnc" => Ok(Some(Scheme::Lcnc)),
             "litexcnc" => Ok(Some(Scheme::LitexCnc(Vec::new()))),
+            "litexcnc-named" => Ok(Some(Scheme::LitexCncNamed(Vec::new()))),
             other => {
-                let names = other.strip_prefix("litexcnc:").ok_or_else(error)?;
+                let (scheme, names) = other.split_once(':').ok_or_else(error)?;
+                let scheme = match scheme {
+                    "litexcnc" => Scheme::LitexCnc,
+                    "litexcnc-named" => Scheme::LitexCncNamed,
+                    _ => return Err(error()),
+                };
                 let names: Vec<String> = names
                     .split(',')
                     .map(|name| name.trim().to_owned())
@@ -99,7 +143,7 @@ impl Scheme {
                 if names.iter().any(|name| !is_name(name)) {
                     return Err(error());
                 }
-                Ok(Some(Scheme::LitexCnc(names)))
+                Ok(Some(scheme(names)))
             }
         }
     }
@@ -108,7 +152,7 @@ impl Scheme {
     pub fn prefix(&self, index: usize, identity: &Identity) -> String {
         match self {
             Scheme::Lcnc => format!("Lcnc.{index:02}"),
-            Scheme::LitexCnc(names) => {
+            Scheme::LitexCnc(names) | Scheme::LitexCncNamed(names) => {
                 let blob = identity.blob();
                 let own = blob.text(wire::board::Kind::Configuration, 0);
                 let given = names.get(index).map(String::as_str);
@@ -122,10 +166,16 @@ impl Scheme {
 
     /// Refuses a board if the other driver's names would belong to other pins.
     pub fn check(&self, index: usize, identity: &Identity) -> Result<(), NamesError> {
+        let prefix = || self.prefix(index, identity);
+        let row = || litexcnc::judge(identity).map_err(|wrong| NamesError::Row(prefix(), wrong));
         match self {
             Scheme::Lcnc => Ok(()),
-            Scheme::LitexCnc(_) => litexcnc::judge(identity)
-                .map_err(|wrong| NamesError::Row(self.prefix(index, identity), wrong)),
+            Scheme::LitexCnc(_) => row(),
+            Scheme::LitexCncNamed(_) => {
+                row()?;
+                litexcnc::judge_names(identity, &prefix())
+                    .map_err(|wrong| NamesError::Name(prefix(), wrong))
+            }
         }
     }
 
@@ -133,7 +183,9 @@ impl Scheme {
     pub fn functions(&self) -> &'static [(&'static str, Does)] {
         match self {
             Scheme::Lcnc => &[("update", Does::Both)],
-            Scheme::LitexCnc(_) => &[("read", Does::Read), ("write", Does::Write)],
+            Scheme::LitexCnc(_) | Scheme::LitexCncNamed(_) => {
+                &[("read", Does::Read), ("write", Does::Write)]
+            }
         }
     }
 }
@@ -174,7 +226,8 @@ pub fn export(
     };
     match scheme {
         Scheme::Lcnc => lcnc::export(&mut names, driver)?,
-        Scheme::LitexCnc(_) => litexcnc::export(&mut names, identity, driver)?,
+        Scheme::LitexCnc(_) => litexcnc::export(&mut names, identity, driver, false)?,
+        Scheme::LitexCncNamed(_) => litexcnc::export(&mut names, identity, driver, true)?,
     }
     let mut glue = names.glue;
     glue.watches = theirs.iter().filter_map(Watch::of).collect();
@@ -203,6 +256,11 @@ impl<'b> Names<'b> {
     fn alias(&mut self, theirs: &str, ours: &str) -> Result<(), ExportError> {
         let exported = self.ours(ours)?;
         self.hal.alias(exported, theirs)
+    }
+
+    /// A pin of theirs, two names.
+    fn second(&mut self, theirs: &str, other: &str) -> Result<(), ExportError> {
+        self.hal.alias_own(theirs, other)
     }
 
     /// A number of ours that HAL sets, as it is in force.
@@ -325,7 +383,19 @@ mod tests {
                 "io_1".to_owned()
             ])))
         );
-        for text in ["Lcnc", "litexcnc:", "litexcnc:a,,b", "litexcnc:a.b", "mesa"] {
+        assert_eq!(
+            Scheme::parse("litexcnc-named:mill"),
+            Ok(Some(Scheme::LitexCncNamed(vec!["mill".to_owned()])))
+        );
+        for text in [
+            "Lcnc",
+            "litexcnc:",
+            "litexcnc-named:",
+            "litexcnc-x:a",
+            "litexcnc:a,,b",
+            "litexcnc:a.b",
+            "mesa",
+        ] {
             let message = Scheme::parse(text).unwrap_err().to_string();
             assert!(message.contains(text), "{message}");
         }

@@ -160,13 +160,16 @@ fn all_channels_of_the_largest_board_are_there() {
 
 /// Lcnc: the readme says `acc-lim`, the code exports `acc_lim`.
 #[test]
-fn a_pin_has_the_name_that_the_code_gives_it() {
+fn a_pin_has_the_name_of_the_code_and_that_of_the_readme() {
     let rig = Rig::named(&Scheme::Lcnc);
-    assert!(
+    for (n, name) in [(0, "acc_lim"), (1, "acc-lim")] {
         rig.hal
-            .list()
-            .any(|(name, _, _)| name == "Lcnc.00.stepgen.00.acc_lim")
-    );
+            .set(&format!("Lcnc.00.stepgen.{n:02}.{name}"), 700.0);
+        for same in ["acc_lim", "acc-lim"] {
+            let value: f64 = rig.hal.get(&format!("Lcnc.00.stepgen.{n:02}.{same}"));
+            assert_eq!(value, 700.0, "{same} after {name}");
+        }
+    }
     // `tests/pins.rs` compares every name with `docs/pins.md`.
 }
 

@@ -4,7 +4,7 @@
 #[path = "common/fake_board.rs"]
 mod common;
 
-use common::rig::load_with;
+use common::rig::{Rig, load_with};
 use common::{FakeBoard, MILL6_ROW, Time};
 use ferrocnc::hal::fake::FakeHal;
 use ferrocnc::hal::{Direction, Type};
@@ -99,9 +99,10 @@ fn every_pin_is_on_the_page_with_its_type_and_nothing_else_is() {
 /// Aliases and pins of their own, exported under `prefix`, against a column of the page.
 fn compare(scheme: &Scheme, prefix: &str, column: usize, alone: &str) {
     let hal = export(Some(scheme));
-    let aliases: BTreeSet<String> = hal
-        .aliases()
-        .filter_map(|(name, _, _)| general(name, prefix))
+    // Starred, if the pin it belongs to is one of theirs, too.
+    let aliases: BTreeSet<(String, bool)> = hal
+        .aliases_of()
+        .filter_map(|(name, of)| Some((general(name, prefix)?, of.starts_with(prefix))))
         .collect();
     let own: BTreeMap<String, String> = hal
         .list()
@@ -117,8 +118,8 @@ fn compare(scheme: &Scheme, prefix: &str, column: usize, alone: &str) {
             page.insert((name.to_owned(), true));
         }
     }
-    let exported = aliases.into_iter().map(|name| (name, false));
-    let exported: BTreeSet<_> = exported
+    let exported: BTreeSet<_> = aliases
+        .into_iter()
         .chain(own.into_keys().map(|name| (name, true)))
         .collect();
     let missing: Vec<_> = exported.difference(&page).collect();
@@ -281,6 +282,131 @@ fn a_board_that_mixes_inputs_and_outputs_and_does_not_say_their_row_is_refused_i
     let mut hal = FakeHal::new();
     let (_, identity) = load_with(&FakeBoard::saying(&[]), &mut hal, 0);
     assert_eq!(Scheme::Lcnc.check(0, &identity), Ok(()));
+}
+
+#[test]
+fn the_names_before_litexcnc_1_2_show_what_the_newer_ones_do() {
+    let mut rig = Rig::named(&Scheme::LitexCnc(vec!["test".to_owned()]));
+    rig.hal.set("test.stepgen.00.position-scale", 100.0);
+    rig.hal.set("test.stepgen.00.max-acceleration", 5000.0);
+    rig.arm();
+    rig.hal.set("test.stepgen.00.enable", true);
+    rig.hal.set("test.stepgen.00.velocity-mode", true);
+    rig.hal.set("test.stepgen.00.velocity-cmd", 20.0);
+    rig.run(50);
+    for (old, new) in [
+        ("position_fb", "position-feedback"),
+        ("speed_fb", "velocity-feedback"),
+        ("position_prediction", "position-prediction"),
+        ("speed_prediction", "velocity-prediction"),
+    ] {
+        let value = |pin: &str| rig.hal.get::<f64>(&format!("test.stepgen.00.{pin}"));
+        assert_eq!(value(old), value(new), "{old}");
+        assert!(value(old) > 0.0, "{old} is {}", value(old));
+    }
+}
+
+#[test]
+fn a_channel_with_a_name_in_litexcnc_is_called_by_it_as_it_is_written_and_others_by_their_number() {
+    let names: &[(u8, u8, &str)] = &[
+        (8, 0, "sas=J1:10_Left"),
+        (8, 1, "sas="),
+        (8, 5, "eas=Spindle_Encoder"),
+        (8, 0, "pas=24V"),
+        (8, 0, "iigpio=1 as=j8:2"),
+        (8, 0, "ogpio=0 as=Drive"),
+    ];
+    // The entries of inputs and outputs begin with their letter.
+    let said: Vec<_> = MILL6_ROW[2..]
+        .iter()
+        .chain(names)
+        .map(|(kind, channel, text)| (*kind, *channel, text.replace("iigpio", "igpio")))
+        .collect();
+    let said: Vec<_> = said.iter().map(|(k, c, text)| (*k, *c, &**text)).collect();
+    let board = FakeBoard::saying(&said);
+    let mut hal = FakeHal::new();
+    let (driver, identity) = load_with(&board, &mut hal, 0);
+    let scheme = Scheme::LitexCncNamed(vec!["test".to_owned()]);
+    assert_eq!(scheme.check(0, &identity), Ok(()));
+    let _glue = names::export(&scheme, &mut hal, 0, &identity, &driver).unwrap();
+    for (theirs, ours) in [
+        ("stepgen.J1:10_Left.enable", "stepgen.x.enable"),
+        ("stepgen.y.enable", "stepgen.y.enable"),
+        ("stepgen.02.enable", "stepgen.z.enable"),
+        ("gpio.j8:2.in", "gpio.limit-x.in"),
+        ("gpio.Drive.out", "gpio.drive-enable.out"),
+        ("gpio.02.out", "gpio.spindle-on.out"),
+        (
+            "encoder.Spindle_Encoder.index-enable",
+            "encoder.spindle.index-enable",
+        ),
+        ("pwm.24V.enable", "pwm.spindle.enable"),
+    ] {
+        let (theirs, ours) = (format!("test.{theirs}"), format!("ferrocnc.0.{ours}"));
+        for level in [true, false] {
+            hal.set(&theirs, level);
+            assert_eq!(hal.get::<bool>(&ours), level, "{theirs} is {ours}");
+        }
+    }
+    // Pins of its own, too, and no other name beside it.
+    let known: BTreeSet<&str> = hal
+        .list()
+        .chain(hal.aliases())
+        .map(|(name, _, _)| name)
+        .collect();
+    assert!(known.contains("test.stepgen.J1:10_Left.counts"));
+    assert!(
+        !known
+            .iter()
+            .any(|name| name.starts_with("test.stepgen.00."))
+    );
+    // By number, as the driver of 1.3 has them, with the other word.
+    let board = FakeBoard::saying(&said);
+    let mut hal = FakeHal::new();
+    let (driver, identity) = load_with(&board, &mut hal, 0);
+    let scheme = Scheme::LitexCnc(vec!["test".to_owned()]);
+    let _glue = names::export(&scheme, &mut hal, 0, &identity, &driver).unwrap();
+    let known: BTreeSet<&str> = hal
+        .list()
+        .chain(hal.aliases())
+        .map(|(name, _, _)| name)
+        .collect();
+    assert!(known.contains("test.stepgen.00.counts"));
+    assert!(!known.iter().any(|name| name.contains("J1:10_Left")));
+}
+
+#[test]
+fn a_name_of_litexcnc_that_hal_cannot_have_is_refused_when_the_board_is_loaded() {
+    let refused = |texts: &[&str], prefix: &str| {
+        let more: Vec<_> = texts
+            .iter()
+            .zip(0..)
+            .map(|(text, n)| (8, n, *text))
+            .chain(MILL6_ROW.iter().copied())
+            .collect();
+        let board = FakeBoard::saying(&more);
+        let mut hal = FakeHal::new();
+        let (driver, identity) = load_with(&board, &mut hal, 0);
+        let scheme = Scheme::LitexCncNamed(vec![prefix.to_owned()]);
+        let said = scheme.check(0, &identity).unwrap_err().to_string();
+        let checked = names::export(&scheme, &mut hal, 0, &identity, &driver);
+        (said, checked.is_ok())
+    };
+    let (said, exported) = refused(
+        &["sas=torch height\u{e4}".replace(' ', "\u{a0}").as_str()],
+        "test",
+    );
+    assert!(said.contains("no HAL file") && exported, "{said}");
+    let (said, _) = refused(&["sas=Y", "sas=Y"], "test");
+    assert!(said.contains("two channels \"Y\""), "{said}");
+    let (said, _) = refused(&["sas=torch-height"], "plasma2");
+    for part in [
+        "plasma2.stepgen.torch-height.position-prediction has 48",
+        "47",
+        "names=litexcnc-named:NAME",
+    ] {
+        assert!(said.contains(part), "{part:?} is not in {said:?}");
+    }
 }
 
 #[test]

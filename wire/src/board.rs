@@ -38,6 +38,15 @@ pub const HEADER_LEN: usize = 16;
 /// LinuxCNC's manual promises.
 pub const HAL_NAME_MAX: usize = 41;
 
+/// Longest name HAL takes at all: for names that another driver has chosen.
+pub const HAL_NAME_LEN: usize = 47;
+
+/// Whether a HAL file can call a channel of another driver so, and not mean a channel's number.
+pub fn is_foreign_name(text: &str) -> bool {
+    let word = |b: u8| b.is_ascii_alphanumeric() || b"_-:.+/".contains(&b);
+    text.bytes().all(word) && text.bytes().any(|b| !b.is_ascii_digit())
+}
+
 /// What an entry describes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
@@ -312,6 +321,16 @@ mod tests {
         }
         bytes.extend(body);
         bytes
+    }
+
+    #[test]
+    fn a_foreign_name_is_a_word_of_a_hal_file_and_no_number() {
+        for name in ["j1:10", "Spindle_On", "24V-ok", "x", "a.b"] {
+            assert!(is_foreign_name(name), "{name}");
+        }
+        for name in ["", "7", "00", "a b", "a#", "a=b", "$a", "[a]", "\u{e4}"] {
+            assert!(!is_foreign_name(name), "{name}");
+        }
     }
 
     #[test]

@@ -26,6 +26,8 @@ pub struct Channel {
     pub invert: bool,
     /// Inputs and outputs: the number in LiteX-CNC's row of both.
     pub litexcnc: Option<u8>,
+    /// The name in LiteX-CNC's JSON.
+    pub litexcnc_name: Option<String>,
 }
 
 impl Channel {
@@ -40,6 +42,7 @@ impl Channel {
             safe: (class == Class::Output).then_some(Level::Low),
             invert: false,
             litexcnc: None,
+            litexcnc_name: None,
         }
     }
 
@@ -72,6 +75,11 @@ impl Channel {
         }
         if let Some(number) = self.litexcnc {
             let _ = write!(text, "gpio={number} ");
+        }
+        if let Some(name) = &self.litexcnc_name {
+            // The board has little room: nothing means the name above.
+            let name = Some(name).filter(|name| **name != self.name);
+            let _ = write!(text, "as={} ", name.map_or("", String::as_str));
         }
         text.truncate(text.trim_end().len());
         text
@@ -113,6 +121,7 @@ impl Channel {
             litexcnc: at
                 .integer_if("litexcnc")
                 .and_then(|number| u8::try_from(number).ok()),
+            litexcnc_name: litexcnc_name(at, class)?,
         };
         for (key, _, drives) in class.pins() {
             if let Some(pin) = wiring.pin(at, key, *drives)? {
@@ -168,6 +177,35 @@ impl Channel {
         }
         Ok(())
     }
+}
+
+/// What LiteX-CNC called it, if it had a name there.
+fn litexcnc_name(at: &At<'_>, class: Class) -> Result<Option<String>, Error> {
+    let Some(name) = at.text_if("litexcnc_name") else {
+        return Ok(None);
+    };
+    let hal = class.hal();
+    let wrong = |problem: String, remedy: String| {
+        Err(at.error("litexcnc_name", &format!("{name:?}"), problem, remedy))
+    };
+    if !wire::board::is_foreign_name(name) {
+        return wrong(
+            "cannot be part of a name in a HAL file".to_owned(),
+            "write it as LiteX-CNC's JSON has it, as in \"j1:10\", or take it away".to_owned(),
+        );
+    }
+    if name.len() > hal.litexcnc_room() {
+        let pin = hal.litexcnc_pin("b", name);
+        return wrong(
+            format!(
+                "is too long: HAL takes {} characters and {pin} has {}",
+                wire::board::HAL_NAME_LEN,
+                pin.len()
+            ),
+            "shorten it, here and in the HAL file".to_owned(),
+        );
+    }
+    Ok(Some(name.to_owned()))
 }
 
 /// Its name, if HAL can bear that.

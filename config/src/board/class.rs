@@ -64,6 +64,18 @@ impl Class {
         }
     }
 
+    /// The name that an import gives a channel without one.
+    pub(crate) fn numbered(self, n: usize) -> String {
+        let prefix = match self {
+            Class::Stepgen => "sg",
+            Class::Encoder => "enc",
+            Class::Pwm => "pwm",
+            Class::Input => "in",
+            Class::Output => "out",
+        };
+        format!("{prefix}-{n:02}")
+    }
+
     /// Its pins, in the order they are written.
     pub const fn pins(self) -> &'static [PinKey] {
         match self {

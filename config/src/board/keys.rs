@@ -18,6 +18,17 @@ const fn name(class: HalClass) -> Key {
         NAME,
     )
 }
+/// What LiteX-CNC's JSON calls the channel; the reader asks `wire::board::is_foreign_name`.
+const fn litexcnc_name(class: HalClass) -> Key {
+    may(
+        "litexcnc_name",
+        Kind::Shaped {
+            pattern: "^[A-Za-z0-9_:.+/-]*[A-Za-z_:.+/-][A-Za-z0-9_:.+/-]*$",
+            most: class.litexcnc_room(),
+        },
+        "the name it had in LiteX-CNC's JSON, for names=litexcnc-named, as in \"j1:10\"",
+    )
+}
 /// A header's pins but ground, the button, or nothing.
 const PIN: Kind = Kind::Shaped {
     pattern: "^(j[1-9][0-9]?:([0124-9]|1[0-4])|key|none)$",
@@ -88,6 +99,7 @@ const STEPGEN: &[Key] = &[
         "a pin for the inverted copy of dir, for a differential input",
     ),
     may("index", PIN, "an input pin: the axis' index pulse"),
+    litexcnc_name(hal::STEPGEN),
 ];
 const ENCODER: &[Key] = &[
     name(hal::ENCODER),
@@ -104,6 +116,7 @@ const ENCODER: &[Key] = &[
         PIN,
         "an input pin that must be high for the index to count",
     ),
+    litexcnc_name(hal::ENCODER),
 ];
 const PWM: &[Key] = &[
     name(hal::PWM),
@@ -114,6 +127,7 @@ const PWM: &[Key] = &[
     ),
     may("pin", PIN, "the output pin, as in \"j3:0\""),
     may("dir", PIN, "an output pin for the sign"),
+    litexcnc_name(hal::PWM),
 ];
 /// Numbers of LiteX-CNC's row of inputs and outputs.
 const ROW: Kind = Kind::Integer { min: 0, max: 63 };
@@ -131,6 +145,7 @@ const GPIO_IN: &[Key] = &[
         ROW,
         "the number it had in LiteX-CNC's one row of inputs and outputs, for names=litexcnc",
     ),
+    litexcnc_name(hal::INPUT),
 ];
 const GPIO_OUT: &[Key] = &[
     name(hal::OUTPUT),
@@ -150,6 +165,7 @@ const GPIO_OUT: &[Key] = &[
         ROW,
         "the number it had in LiteX-CNC's one row of inputs and outputs, for names=litexcnc",
     ),
+    litexcnc_name(hal::OUTPUT),
 ];
 
 /// Keys of a file in `boards`.

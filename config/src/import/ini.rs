@@ -17,6 +17,41 @@ pub(super) struct Entry<'t> {
     pub place: Place,
 }
 
+/// Sections of every machine's INI, none of a board's.
+const OF_LINUXCNC: [&str; 7] = [
+    "[EMC]",
+    "[DISPLAY]",
+    "[TASK]",
+    "[RS274NGC]",
+    "[EMCMOT]",
+    "[KINS]",
+    "[TRAJ]",
+];
+
+/// Refuses the INI file of a LinuxCNC machine by name. Its keys may be there twice, so that
+/// [`parse`] would complain about something else. `wanted` is what the import reads.
+pub(super) fn refuse_machine(file: &str, text: &str, wanted: &str) -> Result<(), Error> {
+    let mut lines = text.lines().enumerate();
+    let Some((n, section)) = lines.find_map(|(n, line)| {
+        let known = OF_LINUXCNC.iter().find(|known| **known == line.trim());
+        known.map(|known| (n, *known))
+    }) else {
+        return Ok(());
+    };
+    Err(Error::from(Report {
+        file: file.to_owned(),
+        place: Some(Place {
+            line: n + 1,
+            column: 1,
+        }),
+        key: section.to_owned(),
+        value: String::new(),
+        problem: "is a section of a machine's INI file, the one that LinuxCNC starts with"
+            .to_owned(),
+        remedy: format!("name the board's file instead: {wanted}"),
+    }))
+}
+
 pub(super) fn parse<'t>(file: &str, text: &'t str) -> Result<Vec<Section<'t>>, Error> {
     let mut sections: Vec<Section<'t>> = Vec::new();
     for (n, line) in text.lines().enumerate() {

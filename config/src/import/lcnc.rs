@@ -1,6 +1,6 @@
 //! Lcnc's `conf.ini`, as its GUI and `--saveconf` write it.
 
-use super::ini::{Section, parse};
+use super::ini::{Section, parse, refuse_machine};
 use super::{Draft, Imported, mac};
 use crate::board::{Channel, Class, ControlInput, Platforms};
 use crate::error::{Error, Place, Report};
@@ -8,10 +8,10 @@ use crate::platform::Level;
 use crate::tree::nearest;
 
 /// A section's name, what it becomes, its keys' endings and ours.
-type Channels = (&'static str, Class, &'static [(&'static str, &'static str)]);
+pub(crate) type Channels = (&'static str, Class, &'static [(&'static str, &'static str)]);
 
 /// Its sections: their keys' endings after the channel's number, and what they become.
-const CHANNELS: [Channels; 5] = [
+pub(crate) const CHANNELS: [Channels; 5] = [
     ("inputs", Class::Input, &[("", "pin")]),
     ("outputs", Class::Output, &[("", "pin")]),
     ("pwms", Class::Pwm, &[("", "pin")]),
@@ -27,7 +27,7 @@ const HARDWARE: [&str; 8] = [
 ];
 
 /// Board and revision -> platform.
-const PLATFORMS: &[(&str, &str, &str)] = &[
+pub(crate) const PLATFORMS: &[(&str, &str, &str)] = &[
     ("5a-75b", "6.1", "5a-75b-6.1"),
     ("5a-75b", "7.0", "5a-75b-7.0"),
     ("5a-75b", "8.0", "5a-75b-8.0"),
@@ -45,6 +45,11 @@ pub fn lcnc(
     name: &str,
     platforms: &dyn Platforms,
 ) -> Result<Imported, Error> {
+    refuse_machine(
+        file,
+        text,
+        "the conf.ini with [Hardware] that Lcnc built the bitstream from, or that its --saveconf writes",
+    )?;
     let sections = parse(file, text)?;
     let hardware = Hardware {
         file,
@@ -53,6 +58,7 @@ pub fn lcnc(
     only_known(file, &sections)?;
     hardware.only_known()?;
     let mut draft = Draft::new(file, name, hardware.platform()?, platforms)?;
+    "Lcnc.00".clone_into(&mut draft.prefix);
     hardware.clock(&mut draft)?;
     hardware.network(&mut draft)?;
     let reset = hardware.get("reset_in")?;

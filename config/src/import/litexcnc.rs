@@ -1,12 +1,14 @@
 //! LiteX-CNC's JSON, of both generations: `ethphy`, `etherbone`, `watchdog.pin` and one-pin PWMs
 //! until 1.2, `connection`, watchdog functions, e-stops and PWM types from there on.
 
+use super::ini::refuse_machine;
 use super::json::parse;
 use super::{Draft, Imported, mac};
 use crate::board::{Channel, Class, Platforms};
 use crate::error::Error;
 use crate::platform::Level;
 use crate::tree::{At, Key, Kind, Node, Value, may, must};
+use wire::board::HAL_NAME_LEN;
 use wire::regmap::{ENCODER_MAX, IN_MAX, OUT_MAX, PWM_MAX, STEPGEN_MAX};
 
 const PIN: &str = "a pin, as in \"j1:0\"";
@@ -109,7 +111,12 @@ const MODULE: &[Key] = &[
         Kind::OneOf(&["gpio", "pwm", "encoder", "stepgen"]),
         "\"gpio\", \"pwm\", \"encoder\" or \"stepgen\": others have no counterpart here",
     ),
-    must("instances", Kind::Any, "a list of instances"),
+    may("instances", Kind::Any, "a list of instances"),
+    may(
+        "instance",
+        Kind::Any,
+        "the same, as the manual spells it: a list of instances",
+    ),
 ];
 const BOARD: &[Key] = &[
     must("board_name", Kind::Text, "the board's name in HAL"),
@@ -249,6 +256,11 @@ pub fn litexcnc(
     name: &str,
     platforms: &dyn Platforms,
 ) -> Result<Imported, Error> {
+    refuse_machine(
+        file,
+        text,
+        "the JSON with board_type and modules that `litexcnc build_firmware` read",
+    )?;
     let tree = parse(file, text)?;
     let at = At::new(file, "", &tree, BOARD)?;
     let board_type = at.text("board_type").unwrap_or_default();
@@ -264,6 +276,7 @@ pub fn litexcnc(
             "The clock is 60 MHz, not {hz} Hz: the driver asks the board, nothing in HAL changes."
         ));
     }
+    board_name.clone_into(&mut draft.prefix);
     network(&mut draft, file, &at)?;
     if let Some(watchdog) = at.table("watchdog")? {
         self::watchdog(&mut draft, &watchdog)?;
@@ -272,9 +285,10 @@ pub fn litexcnc(
     // watchdog's pins are not in it.
     let mut row = 0;
     for module in at.tables("modules")? {
-        let nodes = module.nodes("instances")?;
+        let key = instances(&module)?;
+        let nodes = module.nodes(key)?;
         for (n, node) in nodes.iter().enumerate() {
-            let path = format!("{}[{n}]", module.key("instances"));
+            let path = format!("{}[{n}]", module.key(key));
             match module.text("module_type") {
                 Some("gpio") => {
                     gpio(&mut draft, &At::new(file, &path, node, GPIO)?, row)?;
@@ -309,9 +323,26 @@ pub fn litexcnc(
     }
     draft.notes.push("Such a file has no external reset pin, so the board file has none: write `ext_reset` if the machine has one.".to_owned());
     let head = format!(
-        "Imported from LiteX-CNC. `names=litexcnc:{board_name}` gives the channels their old HAL names (docs/migration.md)."
+        "Imported from LiteX-CNC. `names=litexcnc:{board_name}` gives the channels their old HAL names, by number; `names=litexcnc-named:{board_name}` those with a name by it (docs/migration.md)."
     );
     draft.finish(head)
+}
+
+/// The key of a module's instances: one of two.
+fn instances(module: &At<'_>) -> Result<&'static str, Error> {
+    match (module.any("instances"), module.any("instance")) {
+        (Some(_), None) => Ok("instances"),
+        (None, Some(_)) => Ok("instance"),
+        (Some(_), Some(_)) => Err(module.error(
+            "instance",
+            "",
+            "is there beside instances",
+            "leave one of the two, with all of them",
+        )),
+        (None, None) => {
+            Err(module.error("instances", "", "is missing", "write a list of instances"))
+        }
+    }
 }
 
 fn network(draft: &mut Draft<'_>, file: &str, at: &At<'_>) -> Result<(), Error> {
@@ -478,8 +509,7 @@ fn gpio(draft: &mut Draft<'_>, at: &At<'_>, row: usize) -> Result<(), Error> {
         (_, Some(true)) => one.safe = Some(Level::High),
         _ => {}
     }
-    push(draft, class, at, one);
-    Ok(())
+    instance(draft, class, at, one)
 }
 
 fn pwm(draft: &mut Draft<'_>, at: &At<'_>) -> Result<(), Error> {
@@ -516,8 +546,7 @@ fn pwm(draft: &mut Draft<'_>, at: &At<'_>) -> Result<(), Error> {
     }
     let mut one = Channel::new(Class::Pwm, String::new(), pins);
     kind.clone_into(&mut one.kind);
-    push(draft, Class::Pwm, at, one);
-    Ok(())
+    instance(draft, Class::Pwm, at, one)
 }
 
 fn encoder(draft: &mut Draft<'_>, at: &At<'_>) -> Result<(), Error> {
@@ -547,8 +576,7 @@ fn encoder(draft: &mut Draft<'_>, at: &At<'_>) -> Result<(), Error> {
     if at.text("pin_B").is_none() {
         "counter".clone_into(&mut one.kind);
     }
-    push(draft, Class::Encoder, at, one);
-    Ok(())
+    instance(draft, Class::Encoder, at, one)
 }
 
 fn stepgen(draft: &mut Draft<'_>, at: &At<'_>) -> Result<(), Error> {
@@ -579,13 +607,12 @@ fn stepgen(draft: &mut Draft<'_>, at: &At<'_>) -> Result<(), Error> {
     if at.flag("soft_stop") != Some(true) {
         draft.hard_stops.push(at.key(""));
     }
-    push(
+    instance(
         draft,
         Class::Stepgen,
         at,
         Channel::new(Class::Stepgen, String::new(), pins),
-    );
-    Ok(())
+    )
 }
 
 /// The pins a type has, all of them, and none of another type's.
@@ -631,6 +658,67 @@ fn pin(at: &At<'_>, key: &str, name: &str) -> Result<String, Error> {
 
 fn push(draft: &mut Draft<'_>, class: Class, at: &At<'_>, channel: Channel) {
     draft.push(class, at.text("name"), channel, at.key(""), at.place(""));
+}
+
+/// Adds an instance of a module, which keeps the name it was given.
+fn instance(
+    draft: &mut Draft<'_>,
+    class: Class,
+    at: &At<'_>,
+    mut channel: Channel,
+) -> Result<(), Error> {
+    if let Some(name) = at.text("name") {
+        channel.litexcnc_name = named(draft, class, at, name)?;
+    }
+    push(draft, class, at, channel);
+    Ok(())
+}
+
+/// The name as a HAL file has it; nothing if none can.
+fn named(
+    draft: &mut Draft<'_>,
+    class: Class,
+    at: &At<'_>,
+    name: &str,
+) -> Result<Option<String>, Error> {
+    let wrong = |problem: String, remedy: &str| {
+        Err(at.error("name", &format!("{name:?}"), problem, remedy))
+    };
+    if name.bytes().all(|b| b.is_ascii_digit()) {
+        return wrong(
+            "is a number, which other channels are called by".to_owned(),
+            "give it a letter, here and in the HAL file",
+        );
+    }
+    if !wire::board::is_foreign_name(name) {
+        draft.notes.push(format!("{}: no HAL file can contain the name {name:?}, so `names=litexcnc-named` calls the channel by its number.", at.key("")));
+        return Ok(None);
+    }
+    let pin = class.hal().litexcnc_pin(&draft.prefix, name);
+    if pin.len() > HAL_NAME_LEN {
+        let problem = format!(
+            "is too long: HAL takes {HAL_NAME_LEN} characters and {pin} has {}",
+            pin.len()
+        );
+        return wrong(
+            problem,
+            "shorten it or board_name, here and in the HAL file",
+        );
+    }
+    let others = draft.board.of(class);
+    match others
+        .iter()
+        .position(|other| other.litexcnc_name.as_deref() == Some(name))
+    {
+        Some(other) => wrong(
+            format!(
+                "is already that of {} {other} (counted from 0)",
+                class.key()
+            ),
+            "give every channel a name of its own, here and in the HAL file",
+        ),
+        None => Ok(Some(name.to_owned())),
+    }
 }
 
 impl<'n> At<'n> {

@@ -9,7 +9,7 @@ use host::link::Link;
 use host::names::{self, Scheme};
 use std::collections::BTreeSet;
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
-use wire::board::{Blob, HAL_NAME_MAX, HEADER_LEN, Kind};
+use wire::board::{Blob, HAL_NAME_LEN, HAL_NAME_MAX, HEADER_LEN, Kind};
 use wire::describe::{self, Channels, Describe, WORDS};
 use wire::exchange::{command_words, status_words};
 
@@ -116,10 +116,11 @@ fn load(identity: &Identity, scheme: u8) {
     };
     let driver = Driver::export(&mut hal, 0, address, identity, link, say);
     let driver = driver.unwrap_or_else(|error| panic!("{error}"));
-    let scheme = match scheme & 3 {
+    let scheme = match scheme & 7 {
         0 => None,
         1 => Some(Scheme::Lcnc),
         2 => Some(Scheme::LitexCnc(Vec::new())),
+        3 => Some(Scheme::LitexCncNamed(vec!["mill".to_owned()])),
         _ => Some(Scheme::LitexCnc(vec!["mill".to_owned()])),
     };
     if let Some(scheme) = &scheme {
@@ -132,7 +133,11 @@ fn load(identity: &Identity, scheme: u8) {
     let mut seen = BTreeSet::new();
     let all = hal.list().chain(hal.aliases());
     for (name, _, _) in all {
-        assert!(name.len() <= HAL_NAME_MAX, "{name} is too long for HAL");
+        let most = match name.starts_with("ferrocnc.0.") {
+            true => HAL_NAME_MAX,
+            false => HAL_NAME_LEN,
+        };
+        assert!(name.len() <= most, "{name} is too long for HAL");
         assert!(
             name.bytes().all(|b| b.is_ascii_graphic()),
             "{name:?} is not a valid name in HAL"

@@ -106,6 +106,12 @@ impl FakeHal {
         })
     }
 
+    /// Every alias, with the name of what it belongs to.
+    pub fn aliases_of(&self) -> impl Iterator<Item = (&str, &str)> {
+        let entries = self.entries.iter();
+        entries.filter_map(|entry| Some((entry.alias.as_deref()?, entry.name.as_str())))
+    }
+
     /// Takes everything said since the last call.
     pub fn said(&self) -> Vec<String> {
         self.said

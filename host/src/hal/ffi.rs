@@ -8,8 +8,7 @@
 
 use core::ffi::{CStr, c_char, c_int, c_long, c_void};
 
-/// Longest name HAL takes.
-pub const HAL_NAME_LEN: usize = 47;
+pub use wire::board::HAL_NAME_LEN;
 
 /// A realtime function as HAL calls it.
 pub type Funct = unsafe extern "C" fn(argument: *mut c_void, period_ns: c_long);

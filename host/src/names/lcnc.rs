@@ -101,6 +101,8 @@ fn stepgen(names: &mut Names<'_>, n: u8) -> Result<(), ExportError> {
     // 0 means no motion there and no limit here. A pin that HAL does not set keeps our cautious
     // default.
     let limit = names.told((&theirs("acc_lim"), Float, In), 0.0, Rule::NotNegative)?;
+    // As the readme has it.
+    names.second(&theirs("acc_lim"), &theirs("acc-lim"))?;
     let default = names.ours(&ours("maxaccel"))?.handle.get();
     names.set(&ours("maxaccel"), move || match limit.get() {
         0.0 => default,

@@ -1,19 +1,36 @@
 //! `NAME.*` as LiteX-CNC 1.3's modules export it.
 
-use super::{Names, RowError};
+use super::{NameError, Names, RowError};
 use crate::client::Identity;
 use crate::driver::Driver;
 use crate::hal::Direction::{In, Io, Out, ReadOnly, ReadWrite};
 use crate::hal::ExportError;
 use crate::hal::Type::{Bit, Float, U32};
 use crate::hal::checked::Rule;
+use wire::board::{HAL_NAME_LEN, Kind, is_foreign_name};
 
-/// Exports all of them.
+/// The longest pin of a channel of each class.
+const LONGEST: [(u8, &str, &str); 5] = [
+    (b's', "stepgen", "position-prediction"),
+    (b'e', "encoder", "overflow-occurred"),
+    (b'p', "pwm", "curr-pwm-freq"),
+    (b'i', "gpio", "in-not"),
+    (b'o', "gpio", "invert-output"),
+];
+
+/// Exports all of them. `named`: channels that have a name in LiteX-CNC's JSON are called by it.
 pub(super) fn export(
     names: &mut Names<'_>,
     identity: &Identity,
     driver: &Driver,
+    named: bool,
 ) -> Result<(), ExportError> {
+    let called = |letter, number: u8, n| {
+        let name = named.then(|| name(identity, letter, n)).flatten();
+        // As with the row below: `Scheme::check` has refused others.
+        let name = name.filter(|name| is_foreign_name(name));
+        name.map_or_else(|| format!("{number:02}"), str::to_owned)
+    };
     let channels = driver.channels();
     let clock = f64::from(identity.describe.clock_hz);
     names.lone(("debug", Bit, ReadWrite), 0.0)?;
@@ -67,26 +84,28 @@ pub(super) fn export(
             true => &[("in", "in"), ("in-not", "in-not")],
             false => &[("out", "out"), ("invert-output", "invert")],
         };
+        let letter = if place.input { b'i' } else { b'o' };
+        let called = called(letter, place.number, place.ours);
         for (their, our) in pins {
-            let theirs = format!("gpio.{:02}.{their}", place.number);
+            let theirs = format!("gpio.{called}.{their}");
             names.alias(&theirs, &format!("gpio.{}.{our}", place.ours))?;
         }
     }
     for n in 0..channels.stepgens {
-        stepgen(names, n)?;
+        stepgen(names, n, &called(b's', n, n))?;
     }
     for n in 0..channels.encoders {
-        encoder(names, n)?;
+        encoder(names, n, &called(b'e', n, n))?;
     }
     for n in 0..channels.pwms {
         let has_direction = identity.has_pin(b'p', usize::from(n), "dir");
-        pwm(names, n, has_direction, clock)?;
+        pwm(names, n, &called(b'p', n, n), has_direction, clock)?;
     }
     Ok(())
 }
 
-fn stepgen(names: &mut Names<'_>, n: u8) -> Result<(), ExportError> {
-    let theirs = |pin: &str| format!("stepgen.{n:02}.{pin}");
+fn stepgen(names: &mut Names<'_>, n: u8, called: &str) -> Result<(), ExportError> {
+    let theirs = |pin: &str| format!("stepgen.{called}.{pin}");
     let ours = |pin: &str| format!("stepgen.{n}.{pin}");
     for (their, our) in [
         ("max-velocity", "maxvel"),
@@ -144,11 +163,21 @@ fn stepgen(names: &mut Names<'_>, n: u8) -> Result<(), ExportError> {
     names.publish((&theirs("max-frequency"), Float, ReadOnly), move || {
         1e9 / (steplen.get() + stepspace.get()).max(1.0)
     })?;
+    // As it wrote them before 1.2, and still does in its manual. A pin has one alias, so two are
+    // copies.
+    names.second(&theirs("position-feedback"), &theirs("position_fb"))?;
+    names.second(&theirs("velocity-feedback"), &theirs("speed_fb"))?;
+    for (their, our) in [
+        ("position_prediction", "position-fb"),
+        ("speed_prediction", "velocity-fb"),
+    ] {
+        names.show((&theirs(their), Float, Out), &ours(our), |value| value)?;
+    }
     names.index_pulse(&theirs("index-pulse"), &ours("index-enable"))
 }
 
-fn encoder(names: &mut Names<'_>, n: u8) -> Result<(), ExportError> {
-    let theirs = |pin: &str| format!("encoder.{n:02}.{pin}");
+fn encoder(names: &mut Names<'_>, n: u8, called: &str) -> Result<(), ExportError> {
+    let theirs = |pin: &str| format!("encoder.{called}.{pin}");
     let ours = |pin: &str| format!("encoder.{n}.{pin}");
     for (their, our) in [
         ("raw-counts", "rawcounts"),
@@ -200,8 +229,14 @@ fn encoder(names: &mut Names<'_>, n: u8) -> Result<(), ExportError> {
     Ok(())
 }
 
-fn pwm(names: &mut Names<'_>, n: u8, has_direction: bool, clock: f64) -> Result<(), ExportError> {
-    let theirs = |pin: &str| format!("pwm.{n:02}.{pin}");
+fn pwm(
+    names: &mut Names<'_>,
+    n: u8,
+    called: &str,
+    has_direction: bool,
+    clock: f64,
+) -> Result<(), ExportError> {
+    let theirs = |pin: &str| format!("pwm.{called}.{pin}");
     let ours = |pin: &str| format!("pwm.{n}.{pin}");
     for pin in [
         "enable",
@@ -247,6 +282,53 @@ fn pwm(names: &mut Names<'_>, n: u8, has_direction: bool, clock: f64) -> Result<
         _ => otherwise,
     })?;
     names.lone((&theirs("type"), U32, ReadOnly), f64::from(has_direction))?;
+    Ok(())
+}
+
+/// What LiteX-CNC's JSON calls a channel, as the board's description says it; nothing behind `as=`
+/// is its name here.
+fn name(identity: &Identity, letter: u8, n: u8) -> Option<&str> {
+    match identity.pin(letter, usize::from(n), "as")? {
+        "" => {
+            let kind = match letter {
+                b's' => Kind::Stepgen,
+                b'e' => Kind::Encoder,
+                b'p' => Kind::Pwm,
+                b'i' => Kind::Input,
+                _ => Kind::Output,
+            };
+            identity.blob().text(kind, n)
+        }
+        said => Some(said),
+    }
+}
+
+/// Refuses names of channels that HAL cannot have behind this prefix.
+pub(super) fn judge_names(identity: &Identity, prefix: &str) -> Result<(), NameError> {
+    let channels = identity.describe.channels;
+    for (letter, class, longest) in LONGEST {
+        let count = match letter {
+            b's' => channels.stepgens,
+            b'e' => channels.encoders,
+            b'p' => channels.pwms,
+            b'i' => channels.inputs,
+            _ => channels.outputs,
+        };
+        let mut known = Vec::new();
+        for name in (0..count).filter_map(|n| name(identity, letter, n)) {
+            if !is_foreign_name(name) {
+                return Err(NameError::NoWord(name.to_owned()));
+            }
+            if known.contains(&name) {
+                return Err(NameError::Twice(name.to_owned()));
+            }
+            known.push(name);
+            let pin = format!("{prefix}.{class}.{name}.{longest}");
+            if pin.len() > HAL_NAME_LEN {
+                return Err(NameError::Long(pin));
+            }
+        }
+    }
     Ok(())
 }
 

@@ -1,11 +1,13 @@
 //! `ferrocnc config`: writes, checks, shows and draws board files, and imports those of other
 //! projects. It needs no board.
 
+use crate::hal_file::{self, Rewritten};
 use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, Subcommand, ValueEnum};
 use ferrocnc_config::board::Platforms;
 use ferrocnc_config::import::{Imported, lcnc, litexcnc};
 use ferrocnc_config::new::{Wanted, layout};
+use ferrocnc_config::peers;
 use ferrocnc_config::pinout::{self, Pinout};
 use ferrocnc_config::source::{Folder, read_text};
 use ferrocnc_config::{Board, Error, Platform, export, read_board, schema, show, write};
@@ -58,6 +60,25 @@ pub(crate) enum ConfigCommand {
         name: Option<String>,
         /// The file, or the folder, to write to; the current folder if not given.
         #[arg(long, short, value_name = "BOARD.toml")]
+        output: Option<PathBuf>,
+        /// LiteX-CNC's HAL file: write FILE-ferrocnc.hal beside it, with our loadrt line, if every
+        /// name of the board in it exists.
+        #[arg(long, value_name = "FILE.hal")]
+        hal: Option<PathBuf>,
+        /// Overwrite what is there.
+        #[arg(long)]
+        force: bool,
+    },
+    /// Write a board file as a configuration of another project, if that can say all of it.
+    Export {
+        /// The other project.
+        #[arg(value_enum)]
+        to: From,
+        /// A board file.
+        #[arg(value_name = "BOARD.toml")]
+        file: PathBuf,
+        /// The file to write; NAME.ini or NAME.json in the current folder if not given.
+        #[arg(long, short, value_name = "FILE")]
         output: Option<PathBuf>,
         /// Overwrite it.
         #[arg(long)]
@@ -140,8 +161,22 @@ pub(crate) fn run(command: &ConfigCommand, as_json: bool) -> Result<()> {
             file,
             name,
             output,
+            hal,
             force,
-        } => import(*from, file, name.as_deref(), output.as_deref(), *force),
+        } => {
+            let to = target(
+                name.as_deref().unwrap_or(&stem(file)),
+                output.as_deref(),
+                *force,
+            )?;
+            import(*from, file, &to, hal.as_deref(), *force)
+        }
+        ConfigCommand::Export {
+            to,
+            file,
+            output,
+            force,
+        } => export_to(*to, file, output.as_deref(), *force),
         ConfigCommand::Schema { platform } => {
             let schema = if *platform {
                 schema::platform()
@@ -312,26 +347,73 @@ fn platform(what: &Path) -> Result<Option<Platform>> {
     Ok(Some(Platform::read(name, &stem(what), &read_text(what)?)?))
 }
 
-fn import(
-    from: From,
-    file: &Path,
-    name: Option<&str>,
-    output: Option<&Path>,
-    force: bool,
-) -> Result<()> {
+fn import(from: From, file: &Path, to: &Path, hal: Option<&Path>, force: bool) -> Result<()> {
     let text = read_text(file)?;
     let shown = file.display().to_string();
-    let to = target(name.unwrap_or(&stem(file)), output, force)?;
-    let name = stem(&to);
-    let folder = Folder::beside(&to);
-    let Imported { board, toml, notes } = match from {
-        From::Lcnc => lcnc(&shown, &text, &name, &folder)?,
-        From::Litexcnc => litexcnc(&shown, &text, &name, &folder)?,
+    let name = stem(to);
+    let folder = Folder::beside(to);
+    let imported = match (from, hal) {
+        (From::Lcnc, Some(_)) => bail!(
+            "--hal is for litexcnc; of a HAL file for Lcnc change the one line yourself: loadrt ferrocnc boards=IP names=lcnc"
+        ),
+        (From::Lcnc, None) => lcnc(&shown, &text, &name, &folder)?,
+        (From::Litexcnc, _) => litexcnc(&shown, &text, &name, &folder)?,
     };
-    ferrocnc_config::blob::blob(&board)?;
-    save(&to, &toml)?;
+    ferrocnc_config::blob::blob(&imported.board)?;
+    // Before anything is written: its names may not exist.
+    let rewritten = hal.map(|hal| rewrite(hal, &imported, force)).transpose()?;
+    let Imported {
+        board, toml, notes, ..
+    } = imported;
+    save(to, &toml)?;
     say(&format!("  {}\n", counts(&board)))?;
     for note in notes {
+        say(&format!("  note: {note}\n"))?;
+    }
+    if let Some((file, rewritten)) = rewritten {
+        let (line, old, new) = rewritten.changed;
+        save(&file, &rewritten.text)?;
+        say(&format!("  {line} - {old}\n  {line} + {new}\n"))?;
+        say(&format!(
+            "  all {} names of the board in it exist\n",
+            rewritten.names
+        ))?;
+        for note in rewritten.notes {
+            say(&format!("  note: {note}\n"))?;
+        }
+    }
+    Ok(())
+}
+
+/// A HAL file for the imported board, and where to write it.
+fn rewrite(file: &Path, imported: &Imported, force: bool) -> Result<(PathBuf, Rewritten)> {
+    let to = file.with_file_name(format!("{}-ferrocnc.hal", stem(file)));
+    if to.exists() && !force {
+        bail!("{} is there already; --force overwrites it", to.display());
+    }
+    let shown = file.display().to_string();
+    let text = read_text(file)?;
+    let rewritten = hal_file::rewrite(&shown, &text, &imported.board, &imported.prefix)?;
+    Ok((to, rewritten))
+}
+
+fn export_to(to: From, file: &Path, output: Option<&Path>, force: bool) -> Result<()> {
+    let board = read_board(file)?;
+    let (theirs, ending, written) = match to {
+        From::Lcnc => ("Lcnc", "ini", peers::lcnc(&board)),
+        From::Litexcnc => ("LiteX-CNC", "json", peers::litexcnc(&board)),
+    };
+    let written = written.map_err(|refusals| {
+        let lines: String = refusals.iter().map(|one| format!("{one}\n")).collect();
+        anyhow!("{lines}nothing was written: {theirs} cannot say this board")
+    })?;
+    let name = format!("{}.{ending}", board.name);
+    let to = output.map_or_else(|| PathBuf::from(name), Path::to_owned);
+    if to.exists() && !force {
+        bail!("{} is there already; --force overwrites it", to.display());
+    }
+    save(&to, &written.text)?;
+    for note in written.notes {
         say(&format!("  note: {note}\n"))?;
     }
     Ok(())

@@ -11,6 +11,7 @@ mod discover;
 mod doctor;
 mod findings;
 mod flash;
+mod hal_file;
 mod install_module;
 mod job;
 mod key;
