@@ -682,3 +682,28 @@ fn a_report_for_others_has_no_hardware_address() {
         "{text}"
     );
 }
+
+#[test]
+fn a_card_is_told_only_of_the_coalescing_that_it_has() {
+    for (has, off) in [
+        (
+            "Adaptive RX: n/a  TX: n/a\nrx-usecs:\t3\n",
+            "-C eth1 rx-usecs 0",
+        ),
+        (
+            "Adaptive RX: on  TX: off\nrx-usecs: n/a\n",
+            "-C eth1 adaptive-rx off",
+        ),
+        (
+            "Adaptive RX: on  TX: off\nrx-usecs: 3\n",
+            "-C eth1 adaptive-rx off rx-usecs 0",
+        ),
+    ] {
+        let mut made = Made::healthy();
+        made.coalescing = has;
+        let report = made.examine(&board());
+        let finding = report.findings.iter().find(|it| it.check == "coalescing");
+        let finding = finding.expect("a finding");
+        assert!(finding.remedy.ends_with(off), "{has}: {finding:?}");
+    }
+}
