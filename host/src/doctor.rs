@@ -76,7 +76,7 @@ fn no_interface(subject: &Subject) -> Finding {
             "interface",
             format!("no route to {ip}"),
             "no port of this computer has an address in the board's net",
-            "give the port an address, such as `sudo ip addr add 192.168.2.1/24 dev IF`",
+            &network::setup("IF", Some(ip)),
         ),
         None => Finding::skipped(
             "interface",

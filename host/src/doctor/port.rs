@@ -249,6 +249,7 @@ impl Port<'_> {
         let reason = "the card keeps a frame back to save interrupts";
         let off = coalescing.off().unwrap_or_default();
         self.by_ethtool(check, fact, reason, "-C", &off)
+            .lasting(super::network::setup(self.interface, None))
     }
 
     fn interrupts(&self) -> Finding {

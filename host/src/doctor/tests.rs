@@ -493,7 +493,12 @@ const FAULTS: &[Fault] = &[
         Note,
         "mtu 1500",
     ),
-    (|m| m.ip = "eth1 UP\n", "address", Bad, "ip addr add"),
+    (
+        |m| m.ip = "eth1 UP\n",
+        "address",
+        Bad,
+        "ferrocnc net setup eth1 192.168.2.50",
+    ),
     (
         |m| m.ip = "eth1 UP 192.168.2.50/24\n",
         "address",
@@ -504,7 +509,7 @@ const FAULTS: &[Fault] = &[
         |m| m.ip = "eth1 UP 192.168.3.1/24\n",
         "address",
         Bad,
-        "ip addr add",
+        "ferrocnc net setup eth1 192.168.2.50",
     ),
     (
         |m| m.ip = "eth1 UP 192.168.2.1/24 10.1.0.1/8\n",
@@ -538,7 +543,7 @@ const FAULTS: &[Fault] = &[
         |m| m.routes(&[("eth1", "0003A8C0", "00FFFFFF")]),
         "interface",
         Bad,
-        "ip addr add",
+        "ferrocnc net setup IF 192.168.2.50",
     ),
     (
         |m| {

@@ -16,6 +16,7 @@ mod job;
 mod key;
 mod log;
 mod manual;
+mod net;
 #[cfg(test)]
 mod pages;
 mod progress;
@@ -101,6 +102,9 @@ enum ToolCommand {
     /// What of this computer makes exchanges late or loses them: kernel, processors, network port,
     /// addresses. It only reads, and needs no root.
     Doctor(doctor::Doctor),
+    /// An Ethernet port of this computer, given to the board so that it lasts, and taken back.
+    #[command(subcommand)]
+    Net(net::NetCommand),
     /// A new bitstream over the network: written, verified, selected for the next power-up.
     Update(update::Update),
     /// The LinuxCNC driver, put where `loadrt ferrocnc` finds it: in LinuxCNC as installed, or in a
@@ -164,6 +168,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         ToolCommand::Set(arguments) => set::run(arguments, json),
         ToolCommand::Selftest(arguments) => selftest::run(arguments, json),
         ToolCommand::Doctor(arguments) => doctor::run(arguments, json),
+        ToolCommand::Net(command) => net::run(command, json),
         ToolCommand::Update(arguments) => update::run(arguments, json),
         ToolCommand::InstallModule(arguments) => install_module::run(arguments, json),
         ToolCommand::Flash { what } => flash::run(what, json),
