@@ -5,6 +5,7 @@
 #![recursion_limit = "256"]
 
 mod config;
+mod consent;
 mod console;
 mod describe;
 mod discover;
@@ -100,7 +101,7 @@ enum ToolCommand {
     /// at pins and jumpers, too.
     Selftest(selftest::Selftest),
     /// What of this computer makes exchanges late or loses them: kernel, processors, network port,
-    /// addresses. It only reads, and needs no root.
+    /// addresses. It only reads, and needs no root, but for --fix and --undo.
     Doctor(doctor::Doctor),
     /// An Ethernet port of this computer, given to the board so that it lasts, and taken back.
     #[command(subcommand)]

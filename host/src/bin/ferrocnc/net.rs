@@ -1,5 +1,6 @@
 //! `ferrocnc net`: gives a port of this computer to the board, and takes it back.
 
+use crate::consent;
 use crate::text::mac_text;
 use anyhow::{Result, bail};
 use clap::{Args, Subcommand};
@@ -10,9 +11,7 @@ use ferrocnc::net::facts::{Board, Facts, Kind};
 use ferrocnc::net::plan::{Plan, Refusal, Wish, is_plain, net, plan, refuse};
 use ferrocnc::uid::{uid_parse, uid_text};
 use serde_json::{Value, json};
-use std::io::{BufRead, Write};
 use std::net::Ipv4Addr;
-use std::os::unix::fs::MetadataExt;
 use std::time::{Duration, Instant};
 
 /// 15 s: a link of copper needs 2 to 4 s after its port was switched on, a board with a DHCP
@@ -161,28 +160,17 @@ fn remove(arguments: &Remove, as_json: bool) -> Result<()> {
 impl Manner {
     /// What is only shown needs none.
     fn needs_root(&self, command: &str) -> Result<()> {
-        // Its owner is the user whose rights this program has.
-        let user = std::fs::metadata("/proc/self").map(|it| it.uid());
-        if !self.dry_run && user.is_ok_and(|user| user != 0) {
-            bail!(
-                "this changes the network of the computer and needs root: sudo ferrocnc {command}"
-            );
+        match self.dry_run {
+            true => Ok(()),
+            false => consent::needs_root("the network of this computer", command),
         }
-        Ok(())
     }
 
     fn confirm(&self) -> Result<()> {
-        if self.yes {
+        if self.yes || consent::is_yes("Is this to be done?")? {
             return Ok(());
         }
-        eprint!("Is this to be done? Type yes: ");
-        std::io::stderr().flush()?;
-        let mut answer = String::new();
-        std::io::stdin().lock().read_line(&mut answer)?;
-        match answer.trim() {
-            "yes" => Ok(()),
-            _ => bail!("nothing was changed; --yes answers yes without the question"),
-        }
+        bail!("nothing was changed; --yes answers yes without the question")
     }
 }
 
