@@ -13,12 +13,14 @@
 //! | [`network`] | addresses, routes, neighbours on it |
 //! | [`card`] | the board's release, and which way exchanges take |
 //! | [`system`] | where all of them read |
+//! | [`fix`] | what is repaired if the operator says so |
 //!
 //! Where the checks and their limits come from: LinuxCNC's documentation of real time, the manual
 //! page of Mesa's `hm2_eth`, and threads of LinuxCNC's users. A limit of our own says so.
 
 pub mod board;
 pub mod cpu;
+pub mod fix;
 pub mod network;
 pub mod platform;
 pub mod port;
@@ -76,7 +78,7 @@ fn no_interface(subject: &Subject) -> Finding {
             "interface",
             format!("no route to {ip}"),
             "no port of this computer has an address in the board's net",
-            "give the port an address, such as `sudo ip addr add 192.168.2.1/24 dev IF`",
+            &network::setup("IF", Some(ip)),
         ),
         None => Finding::skipped(
             "interface",

@@ -29,6 +29,7 @@
 //! | [`flash_file`] | a whole flash image, before it is written by JTAG |
 //! | [`jtag`] | runs openFPGALoader |
 //! | [`doctor`] | what of this computer makes exchanges late or lost, with remedies |
+//! | [`net`] | a port of this computer, given to the board and taken back |
 //! | [`selftest`] | tests of a new board and its wiring, with remedies |
 //! | [`finding`] | what those two found, as text and JSON |
 //! | [`job`] | drawings and programs become jobs, are drawn and checked |
@@ -98,6 +99,8 @@ pub mod link;
 pub mod mdns;
 pub mod module;
 pub mod names;
+#[cfg(feature = "tool")]
+pub mod net;
 #[cfg(feature = "tool")]
 pub mod provision;
 #[cfg(feature = "tool")]

@@ -45,6 +45,7 @@ const PACKAGES: &[(&str, &str)] = &[
         "iptables",
         "a firewall that `ferrocnc discover` has to get past",
     ),
+    ("nftables", "the rule of `ferrocnc net setup`"),
     (
         "procps",
         "finds LinuxCNC processes that a crash left behind",

@@ -385,6 +385,7 @@ impl Level {
             Level::Provision => Ok(board_tests("provision", "1 min", "2")?
                 + board_tests("selftest", "5 min", "2")?
                 + board_tests("lan", "2 min", "2")?
+                + board_tests("net", "1 min", "2")?
                 + board_tests("names", "1 min", "1")?),
             // The Verilated board of the second keeps a core busy, its twins do not.
             Level::Clients => {

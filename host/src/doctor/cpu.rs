@@ -38,7 +38,12 @@ fn governor(system: &System<'_>) -> Finding {
         .collect();
     let names: Vec<_> = all.iter().map(String::as_str).collect();
     match names[..] {
-        [] => Finding::skipped(check, "does not change", "the kernel does not control it", ""),
+        [] => Finding::skipped(
+            check,
+            "does not change",
+            "the kernel does not control it",
+            "",
+        ),
         ["performance"] => Finding::good(check, "performance"),
         _ => Finding::note(
             check,
@@ -46,7 +51,7 @@ fn governor(system: &System<'_>) -> Finding {
             "a processor that has slowed down is late with the next period",
             "echo performance | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor",
         )
-        .lasting("sudo apt install linux-cpupower, and `cpupower frequency-set -g performance` at every start"),
+        .lasting("sudo ferrocnc doctor --fix"),
     }
 }
 
@@ -131,7 +136,7 @@ fn throttling(system: &System<'_>) -> Finding {
             "a servo thread that takes more is stopped for the rest",
             "sudo sysctl -w kernel.sched_rt_runtime_us=-1",
         )
-        .lasting("kernel.sched_rt_runtime_us = -1 in /etc/sysctl.d/60-ferrocnc.conf"),
+        .lasting("sudo ferrocnc doctor --fix"),
     }
 }
 

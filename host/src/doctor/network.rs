@@ -16,23 +16,30 @@ pub fn examine(system: &System<'_>, interface: &str, board: Option<Ipv4Addr>) ->
 }
 
 /// A line of the kernel's table of routes.
-struct Route {
-    interface: String,
-    net: u32,
-    mask: u32,
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Route {
+    /// Where it leads.
+    pub interface: String,
+    /// The first address of its net.
+    pub net: u32,
+    /// The bits of an address that tell its net.
+    pub mask: u32,
 }
 
 impl Route {
-    fn holds(&self, ip: Ipv4Addr) -> bool {
+    /// The address is of its net.
+    pub fn holds(&self, ip: Ipv4Addr) -> bool {
         u32::from(ip) & self.mask == self.net
     }
 
-    fn is_default(&self) -> bool {
+    /// It is the way to every address that has no other.
+    pub fn is_default(&self) -> bool {
         (self.net, self.mask) == (0, 0)
     }
 }
 
-fn routes(system: &System<'_>) -> Vec<Route> {
+/// The kernel's table of routes.
+pub fn routes(system: &System<'_>) -> Vec<Route> {
     let table = system.read("proc/net/route").unwrap_or_default();
     let lines = table.lines().skip(1).filter_map(|line| {
         let fields: Vec<_> = line.split_whitespace().collect();
@@ -61,9 +68,25 @@ pub fn to(system: &System<'_>, ip: Ipv4Addr) -> Option<String> {
     Some(best.interface)
 }
 
+/// The interface's addresses and the bits of their nets; `None` without `ip`.
+pub fn addresses(system: &System<'_>, interface: &str) -> Option<Vec<(Ipv4Addr, u32)>> {
+    let text = system.print("ip", &["-4", "-br", "addr", "show", "dev", interface])?;
+    let words = text.split_whitespace().filter_map(|word| {
+        let (ip, bits) = word.split_once('/')?;
+        Some((ip.parse().ok()?, bits.parse().ok()?))
+    });
+    Some(words.collect())
+}
+
+/// The command that sets the port up for the board.
+pub fn setup(interface: &str, board: Option<Ipv4Addr>) -> String {
+    let board = board.map(|ip| format!(" {ip}")).unwrap_or_default();
+    format!("sudo ferrocnc net setup {interface}{board}")
+}
+
 fn address(system: &System<'_>, interface: &str, board: Option<Ipv4Addr>) -> Finding {
     let check = "address";
-    let Some(text) = system.print("ip", &["-4", "-br", "addr", "show", "dev", interface]) else {
+    let Some(ours) = addresses(system, interface) else {
         return Finding::skipped(
             check,
             "not known",
@@ -71,23 +94,14 @@ fn address(system: &System<'_>, interface: &str, board: Option<Ipv4Addr>) -> Fin
             "sudo apt install iproute2",
         );
     };
-    let ours: Vec<(Ipv4Addr, u32)> = text
-        .split_whitespace()
-        .filter_map(|word| {
-            let (ip, bits) = word.split_once('/')?;
-            Some((ip.parse().ok()?, bits.parse().ok()?))
-        })
-        .collect();
     let fact = ours
         .iter()
         .map(|(ip, bits)| format!("{ip}/{bits}"))
         .collect::<Vec<_>>()
         .join(", ");
-    let add = format!("sudo ip addr add 192.168.2.1/24 dev {interface}");
-    let kept = "a profile of NetworkManager with ipv4.method manual and ipv4.never-default yes, or `iface` with `static` in /etc/network/interfaces";
+    let setup = setup(interface, board);
     if ours.is_empty() {
-        return Finding::bad(check, "none", "the port cannot send to the board", &add)
-            .lasting(kept);
+        return Finding::bad(check, "none", "the port cannot send to the board", &setup);
     }
     if let Some(board) = board {
         if ours.iter().any(|(ip, _)| *ip == board) {
@@ -99,7 +113,7 @@ fn address(system: &System<'_>, interface: &str, board: Option<Ipv4Addr>) -> Fin
                     "sudo ip addr del {board} dev {interface}, and another one of the same net"
                 ),
             )
-            .lasting(kept);
+            .lasting(&setup);
         }
         let near = |(ip, bits): &(Ipv4Addr, u32)| {
             let mask = u32::MAX.checked_shl(32 - bits.min(&32)).unwrap_or(0);
@@ -110,9 +124,8 @@ fn address(system: &System<'_>, interface: &str, board: Option<Ipv4Addr>) -> Fin
                 check,
                 fact,
                 "the board is in another net: its frames take a detour",
-                &add,
-            )
-            .lasting(kept);
+                &setup,
+            );
         }
     }
     match ours.len() {
@@ -122,7 +135,8 @@ fn address(system: &System<'_>, interface: &str, board: Option<Ipv4Addr>) -> Fin
             fact,
             "a second net on the port brings frames of others",
             "remove all but the board's: sudo ip addr del",
-        ),
+        )
+        .lasting(&setup),
     }
 }
 
@@ -141,7 +155,7 @@ fn alone(system: &System<'_>, interface: &str) -> Finding {
         "everything this computer sends stands in front of the board's frames",
         "connect the rest of the network to another port",
     )
-    .lasting("ipv4.never-default yes in the port's profile")
+    .lasting(setup(interface, None))
 }
 
 fn elsewhere(system: &System<'_>, interface: &str, board: Ipv4Addr) -> Finding {
@@ -176,8 +190,6 @@ fn neighbour(system: &System<'_>, interface: &str, board: Ipv4Addr) -> Finding {
             (flags & 4 != 0, mac.to_owned())
         })
     });
-    let kept =
-        "the same line at every start; the board answers ARP in motion, so this is a precaution";
     match entry {
         Some((true, _)) => Finding::good(check, "permanent"),
         Some((false, mac)) => Finding::note(
@@ -186,7 +198,10 @@ fn neighbour(system: &System<'_>, interface: &str, board: Ipv4Addr) -> Finding {
             "the kernel asks for it again from time to time, and holds the command until the answer",
             &format!("sudo ip neigh replace {board} lladdr {mac} nud permanent dev {interface}"),
         )
-        .lasting(kept),
+        .lasting(format!(
+            "{}; the board answers ARP in motion, so this is a precaution",
+            setup(interface, Some(board))
+        )),
         None => Finding::skipped(
             check,
             "none",
@@ -209,9 +224,7 @@ fn reverse_path(system: &System<'_>, interface: &str) -> Finding {
             "a board with an address of another net is not found: its answers are dropped",
             &format!("sudo sysctl -w net.ipv4.conf.{interface}.rp_filter=2"),
         )
-        .lasting(format!(
-            "net.ipv4.conf.{interface}.rp_filter = 2 in /etc/sysctl.d/60-ferrocnc.conf"
-        )),
+        .lasting(setup(interface, None)),
         _ => Finding::good(check, "not strict"),
     }
 }
@@ -226,7 +239,7 @@ fn ipv6(system: &System<'_>, interface: &str) -> Finding {
             "the kernel sends solicitations that the board does not need",
             &format!("sudo sysctl -w net.ipv6.conf.{interface}.disable_ipv6=1"),
         )
-        .lasting("ipv6.method disabled in the port's profile"),
+        .lasting(setup(interface, None)),
         _ => Finding::good(check, "off"),
     }
 }

@@ -26,6 +26,55 @@ pub fn examine(system: &System<'_>, interface: &str) -> Vec<Finding> {
     findings
 }
 
+/// Whether a card holds received frames back to save interrupts; `None` if it has no such setting.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Coalescing {
+    /// For as long as it finds best.
+    pub adaptive: Option<bool>,
+    /// For this long, in microseconds.
+    pub usecs: Option<u32>,
+}
+
+impl Coalescing {
+    /// From what `ethtool -c` prints, if there is an ethtool.
+    pub fn of(text: &Option<String>) -> Self {
+        let text = text.as_deref().unwrap_or_default();
+        let value = |name: &str| {
+            let line = text.lines().find_map(|line| line.trim().strip_prefix(name));
+            line.and_then(|line| line.split_whitespace().next())
+        };
+        Coalescing {
+            adaptive: match value("Adaptive RX:") {
+                Some("on") => Some(true),
+                Some("off") => Some(false),
+                Some(_) | None => None,
+            },
+            usecs: value("rx-usecs:").and_then(|usecs| usecs.parse().ok()),
+        }
+    }
+
+    /// What `ethtool -C IF` is told to switch it off; only what the card has, because it refuses
+    /// the whole command for one setting that it has not.
+    pub fn off(self) -> Option<String> {
+        Coalescing {
+            adaptive: self.adaptive.map(|_| false),
+            usecs: self.usecs.map(|_| 0),
+        }
+        .now()
+    }
+
+    /// What makes it as it is.
+    pub fn now(self) -> Option<String> {
+        let adaptive = self.adaptive.map(|on| match on {
+            true => "adaptive-rx on".to_owned(),
+            false => "adaptive-rx off".to_owned(),
+        });
+        let usecs = self.usecs.map(|usecs| format!("rx-usecs {usecs}"));
+        let words: Vec<_> = adaptive.into_iter().chain(usecs).collect();
+        (!words.is_empty()).then(|| words.join(" "))
+    }
+}
+
 struct Port<'p> {
     system: &'p System<'p>,
     interface: &'p str,
@@ -190,25 +239,17 @@ impl Port<'_> {
         let Some(text) = self.ethtool("-c") else {
             return Self::without_ethtool(check);
         };
-        let value = |name: &str| {
-            let line = text
-                .lines()
-                .find_map(|line| line.trim().strip_prefix(name))?;
-            line.split_whitespace().next().map(str::to_owned)
+        let coalescing = Coalescing::of(&Some(text));
+        let fact = match (coalescing.adaptive, coalescing.usecs) {
+            (Some(true), _) => "adaptive".to_owned(),
+            (_, None) => return Finding::good(check, "none"),
+            (_, Some(0 | 1)) => return Finding::good(check, "off"),
+            (_, Some(usecs)) => format!("{usecs} us"),
         };
-        let adaptive = text.lines().any(|line| line.starts_with("Adaptive RX: on"));
-        match value("rx-usecs:").as_deref() {
-            None | Some("n/a") if !adaptive => Finding::good(check, "none"),
-            Some("0" | "1") if !adaptive => Finding::good(check, "off"),
-            usecs => {
-                let fact = match (usecs, adaptive) {
-                    (_, true) => "adaptive".to_owned(),
-                    (usecs, false) => format!("{} us", usecs.unwrap_or("unknown")),
-                };
-                let reason = "the card keeps a frame back to save interrupts";
-                self.by_ethtool(check, fact, reason, "-C", "adaptive-rx off rx-usecs 0")
-            }
-        }
+        let reason = "the card keeps a frame back to save interrupts";
+        let off = coalescing.off().unwrap_or_default();
+        self.by_ethtool(check, fact, reason, "-C", &off)
+            .lasting(super::network::setup(self.interface, None))
     }
 
     fn interrupts(&self) -> Finding {

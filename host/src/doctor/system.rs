@@ -101,6 +101,16 @@ impl System<'_> {
         }
     }
 
+    /// The program is where root's programs are looked for.
+    pub fn has_program(&self, name: &str) -> bool {
+        let path = (self.variable)("PATH").unwrap_or_default();
+        let mut folders = path.split(':').chain(["/usr/sbin", "/sbin"]);
+        folders.any(|folder| {
+            let file = format!("{}/{name}", folder.trim_start_matches('/'));
+            self.root.join(file).is_file()
+        })
+    }
+
     /// What a program prints.
     pub fn print(&self, program: &str, arguments: &[&str]) -> Option<String> {
         (self.run)(program, arguments)

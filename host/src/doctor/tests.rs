@@ -493,7 +493,12 @@ const FAULTS: &[Fault] = &[
         Note,
         "mtu 1500",
     ),
-    (|m| m.ip = "eth1 UP\n", "address", Bad, "ip addr add"),
+    (
+        |m| m.ip = "eth1 UP\n",
+        "address",
+        Bad,
+        "ferrocnc net setup eth1 192.168.2.50",
+    ),
     (
         |m| m.ip = "eth1 UP 192.168.2.50/24\n",
         "address",
@@ -504,7 +509,7 @@ const FAULTS: &[Fault] = &[
         |m| m.ip = "eth1 UP 192.168.3.1/24\n",
         "address",
         Bad,
-        "ip addr add",
+        "ferrocnc net setup eth1 192.168.2.50",
     ),
     (
         |m| m.ip = "eth1 UP 192.168.2.1/24 10.1.0.1/8\n",
@@ -538,7 +543,7 @@ const FAULTS: &[Fault] = &[
         |m| m.routes(&[("eth1", "0003A8C0", "00FFFFFF")]),
         "interface",
         Bad,
-        "ip addr add",
+        "ferrocnc net setup IF 192.168.2.50",
     ),
     (
         |m| {
@@ -681,4 +686,29 @@ fn a_report_for_others_has_no_hardware_address() {
         text.contains("lladdr MAC nud") && !text.contains("02:00"),
         "{text}"
     );
+}
+
+#[test]
+fn a_card_is_told_only_of_the_coalescing_that_it_has() {
+    for (has, off) in [
+        (
+            "Adaptive RX: n/a  TX: n/a\nrx-usecs:\t3\n",
+            "-C eth1 rx-usecs 0",
+        ),
+        (
+            "Adaptive RX: on  TX: off\nrx-usecs: n/a\n",
+            "-C eth1 adaptive-rx off",
+        ),
+        (
+            "Adaptive RX: on  TX: off\nrx-usecs: 3\n",
+            "-C eth1 adaptive-rx off rx-usecs 0",
+        ),
+    ] {
+        let mut made = Made::healthy();
+        made.coalescing = has;
+        let report = made.examine(&board());
+        let finding = report.findings.iter().find(|it| it.check == "coalescing");
+        let finding = finding.expect("a finding");
+        assert!(finding.remedy.ends_with(off), "{has}: {finding:?}");
+    }
 }

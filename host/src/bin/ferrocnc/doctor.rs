@@ -1,8 +1,9 @@
 //! `ferrocnc doctor`: what of this computer makes exchanges late or loses them.
 
-use crate::findings;
-use anyhow::Result;
+use crate::{consent, findings};
+use anyhow::{Result, bail};
 use clap::Args;
+use ferrocnc::doctor::fix::{Fix, before, fixes, undo_file, written};
 use ferrocnc::doctor::system::System;
 use ferrocnc::doctor::{Subject, board, examine};
 use std::path::PathBuf;
@@ -18,17 +19,83 @@ pub(crate) struct Doctor {
     /// Write the report there as well, without MAC addresses; JSON if the name ends in .json.
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
+    /// Repair CPU frequency and real-time throttling, now and for every start of the computer; asks
+    /// for each. `ferrocnc net setup` repairs the port.
+    #[arg(long, conflicts_with_all = ["address", "interface", "report"])]
+    fix: bool,
+    /// Take back what --fix did; asks for each.
+    #[arg(long, conflicts_with_all = ["fix", "address", "interface", "report"])]
+    undo: bool,
+    /// Do not ask.
+    #[arg(long, short)]
+    yes: bool,
 }
 
 pub(crate) fn run(arguments: &Doctor, as_json: bool) -> Result<()> {
+    let system = System::real();
+    if as_json && (arguments.fix || arguments.undo) {
+        bail!("--fix and --undo tell what they do as text; leave --json out");
+    }
+    match (arguments.fix, arguments.undo) {
+        (true, _) => return fix(&system, arguments.yes),
+        (_, true) => return undo(&system, arguments.yes),
+        (false, false) => {}
+    }
     let client = arguments.address.as_deref().map(crate::open).transpose()?;
     let subject = Subject {
         board: client.as_ref().map(|client| *client.address().socket.ip()),
         interface: arguments.interface.clone(),
     };
-    let mut report = examine(&System::real(), &subject);
+    let mut report = examine(&system, &subject);
     if let Some(mut client) = client {
         report.findings.extend(board::examine(&mut client));
     }
     findings::tell(&report, arguments.report.as_deref(), as_json)
+}
+
+fn fix(system: &System<'_>, yes: bool) -> Result<()> {
+    consent::needs_root("values of the kernel", "doctor --fix")?;
+    let all = fixes(system);
+    if all.is_empty() {
+        println!("nothing to repair: CPU frequency and real-time throttling are as they should be");
+    }
+    for fix in &all {
+        print!("{}", to_text(fix));
+        if !(yes || consent::is_yes("Is this to be done?")?) {
+            println!("{}: left as it is", fix.check);
+            continue;
+        }
+        fix.apply(system).map_err(anyhow::Error::msg)?;
+        println!("{}: repaired", fix.check);
+    }
+    Ok(())
+}
+
+fn to_text(fix: &Fix) -> String {
+    let mut text = format!("{}\n", fix.check);
+    for value in &fix.values {
+        let (path, now, wanted) = (&value.path, &value.now, value.wanted);
+        text += &format!("  /{path}: {now}, to be {wanted}\n");
+    }
+    text + &format!("  /{} makes it last\n", fix.path())
+}
+
+fn undo(system: &System<'_>, yes: bool) -> Result<()> {
+    consent::needs_root("values of the kernel", "doctor --undo")?;
+    let all = written(system);
+    if all.is_empty() {
+        bail!(
+            "there is nothing to take back: no file of `ferrocnc doctor --fix` is in /etc/tmpfiles.d"
+        );
+    }
+    for path in &all {
+        println!("remove /{path}");
+        for (file, value) in before(&system.read(path).unwrap_or_default()) {
+            println!("  /{file}: to be {value}");
+        }
+        if yes || consent::is_yes("Is this to be done?")? {
+            undo_file(system, path).map_err(anyhow::Error::msg)?;
+        }
+    }
+    Ok(())
 }

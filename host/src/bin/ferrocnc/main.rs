@@ -5,6 +5,7 @@
 #![recursion_limit = "256"]
 
 mod config;
+mod consent;
 mod console;
 mod describe;
 mod discover;
@@ -17,6 +18,7 @@ mod job;
 mod key;
 mod log;
 mod manual;
+mod net;
 #[cfg(test)]
 mod pages;
 mod progress;
@@ -100,8 +102,11 @@ enum ToolCommand {
     /// at pins and jumpers, too.
     Selftest(selftest::Selftest),
     /// What of this computer makes exchanges late or loses them: kernel, processors, network port,
-    /// addresses. It only reads, and needs no root.
+    /// addresses. It only reads, and needs no root, but for --fix and --undo.
     Doctor(doctor::Doctor),
+    /// An Ethernet port of this computer, given to the board so that it lasts, and taken back.
+    #[command(subcommand)]
+    Net(net::NetCommand),
     /// A new bitstream over the network: written, verified, selected for the next power-up.
     Update(update::Update),
     /// The LinuxCNC driver, put where `loadrt ferrocnc` finds it: in LinuxCNC as installed, or in a
@@ -165,6 +170,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         ToolCommand::Set(arguments) => set::run(arguments, json),
         ToolCommand::Selftest(arguments) => selftest::run(arguments, json),
         ToolCommand::Doctor(arguments) => doctor::run(arguments, json),
+        ToolCommand::Net(command) => net::run(command, json),
         ToolCommand::Update(arguments) => update::run(arguments, json),
         ToolCommand::InstallModule(arguments) => install_module::run(arguments, json),
         ToolCommand::Flash { what } => flash::run(what, json),
