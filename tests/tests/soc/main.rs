@@ -6,6 +6,5 @@
 mod datagrams;
 mod exchange;
 mod faults;
-mod lengths;
 mod passes;
 mod ways;
