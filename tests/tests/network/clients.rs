@@ -116,9 +116,8 @@ fn the_tool(host: &Place) {
 }
 
 /// `ferrocnc discover` behind a firewall that lets no broadcast out, and behind one that lets none
-/// in: the name's way is left. Where that is shut, too, the tool finds nothing. It waits for so
-/// many milliseconds.
-fn discovered_by_its_name(host: &Place, board: &str, wait: &str) {
+/// in: the name's way is left. Where that is shut, too, the tool finds nothing.
+fn discovered_by_its_name(host: &Place, board: &str) {
     let firewall = |rule: &str| {
         let mut iptables = host.command("iptables");
         iptables.args(rule.split(' '));
@@ -127,7 +126,7 @@ fn discovered_by_its_name(host: &Place, board: &str, wait: &str) {
     };
     for chain in ["OUTPUT", "INPUT"] {
         firewall(&format!("-A {chain} -p udp -d 255.255.255.255 -j DROP"));
-        let found = tool(host, &["discover", "--wait", wait]);
+        let found = tool(host, &["discover"]);
         let here = &found["boards"][0];
         assert_eq!(here["uid"], uid_text(), "{chain}: {found}");
         assert_eq!((&here["ip"], &here["name"]), (&json!(board), &json!(NAME)));
@@ -135,8 +134,7 @@ fn discovered_by_its_name(host: &Place, board: &str, wait: &str) {
     }
     firewall("-A INPUT -p udp --sport 5353 -j DROP");
     firewall("-D OUTPUT 1");
-    let found = tool(host, &["discover", "--wait", wait]);
-    assert_eq!(found, json!({ "boards": [] }));
+    assert_eq!(tool(host, &["discover"]), json!({ "boards": [] }));
     firewall("-F INPUT");
 }
 
@@ -233,7 +231,7 @@ fn real_clients_are_served_by_the_ip_stack_of_the_twin() {
     all_clients(&folder, &host, &net, 1);
     telnet(&host, &net.board, "characters");
     the_tool(&host);
-    discovered_by_its_name(&host, &net.board, "1000");
+    discovered_by_its_name(&host, &net.board);
 }
 
 /// Some 100 ms are a servo period of 1 kHz for the Verilated board. At 1 ms its CPU does nothing
@@ -296,8 +294,6 @@ fn the_verilated_board_renews_its_lease_and_is_found_by_its_name() {
     // The board has its name 2 s after power-up: it asks first whether another one has it.
     the_tool(&host);
     done("describe by the name");
-    discovered_by_its_name(&host, &board, "10000");
-    done("discover");
     let all = kinds(&said);
     assert!(all.starts_with(&BEGINS), "{said}");
     for renewal in all[BEGINS.len()..].chunks_exact(2) {
