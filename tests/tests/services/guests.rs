@@ -82,6 +82,8 @@ fn guests_come(machine: &mut BenchMachine, command: &mut Command, lines: &[&str]
 const PERIODS: usize = 40;
 const PERIODS_AT_REST: usize = 400;
 const READERS: usize = 4;
+/// Periods between a handshake and its request.
+const BETWEEN: usize = 3;
 
 /// A reader asks for the page while its owner exchanges, for so many periods or until it has heard
 /// what is `enough`; what it heard.
@@ -97,18 +99,19 @@ fn asks_for_the_page(
         false => State::Disarmed,
     };
     let reader = machine.rig().segment.connect(wire::PAGE_PORT);
-    let (mut heard, mut connected, mut asked) = (Vec::new(), false, false);
+    let (mut heard, mut connected, mut asked) = (Vec::new(), 0, false);
     for period in 0..periods {
         let status = machine.exchange_and_wait(command).state;
         assert_eq!(status.state, wanted, "period {period}");
         assert_eq!(status.services, JobsState::Alive, "period {period}");
         let segment = &mut machine.rig().segment;
-        // The board takes one frame of a guest in a period. The last of the handshake is one, and a
-        // request right behind it would come again a second later.
-        if connected && !asked {
+        // The board takes one frame of a guest in a period, and none in the next one behind a call
+        // that takes longer. The last of the handshake is one: a request right behind it would come
+        // again a second later, and a reader that has gone by then keeps its place.
+        if connected > BETWEEN && !asked {
             asked = segment.send(reader, ASK.as_bytes()) == ASK.len();
         }
-        connected = segment.established(reader);
+        connected += usize::from(segment.established(reader));
         heard.extend(segment.recv(reader));
         if enough(&heard) {
             println!("heard enough after {period} periods");
@@ -123,7 +126,6 @@ fn asks_for_the_page(
 }
 
 #[test]
-#[ignore = "open: FERROCNC_SEED=1795813239513, behind the guests the page's port is out of reach"]
 fn the_status_page_is_read_at_rest_and_is_busy_while_the_machine_moves() {
     const LINES: [&str; 3] = ["status", "help", "settings"];
     let mut machine = BenchMachine::boot(mill());

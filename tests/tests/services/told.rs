@@ -11,19 +11,13 @@ use crate::{becomes, state};
 /// The services are loaded well before that.
 pub const LOADING_MS: u64 = 800;
 
-/// Readers of a page, one of which is heard.
-const READERS: usize = 4;
-
 /// The services look at the board every 100 ms.
 const LOOK_MS: u64 = 130;
 
 /// What the status page says under this path, to a reader of a machine at rest.
 pub fn page(machine: &mut BenchMachine, path: &str) -> String {
     let rig = machine.rig();
-    // A short frame of the board may be lost behind one of 57 to 59 bytes, and a place be kept by a
-    // client that has gone: a reader asks again.
-    let reader = (0..READERS).find_map(|_| rig.tcp_connect(PAGE_PORT).ok());
-    let reader = reader.expect("the page's port");
+    let reader = rig.tcp_connect(PAGE_PORT).expect("the page's port");
     let mut heard = rig.tcp_talk(reader, &format!("GET {path} HTTP/1.0\r\n\r\n"));
     for _ in 0..100 {
         if rig.segment.hung_up(reader) {
