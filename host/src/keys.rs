@@ -15,11 +15,12 @@
 //! that other users can read is refused, as by ssh. [`wire::auth`] defines the words that a key
 //! signs.
 
+use crate::replace::{replace, sync_folder};
 use crate::uid::uid_text;
 use hmac::{Hmac, Mac};
-use std::fs::{self, DirBuilder, OpenOptions};
-use std::io::{self, Write};
-use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
+use std::fs::{self, DirBuilder};
+use std::io;
+use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use wire::auth::{Purpose, WORDS};
 
@@ -293,9 +294,8 @@ pub fn read(path: &Path) -> Result<Key, KeyError> {
     Key::parse(&text).ok_or_else(|| KeyError::Malformed(path.to_owned()))
 }
 
-/// Writes a key where only this user can read it; the old file stays until the new one is whole.
-/// When this comes back the key survives a loss of power: the file is on the disk, its name is, and
-/// so are folders made for it.
+/// Writes a key where only this user can read it. When this comes back it survives a loss of power,
+/// as [`replace`] says, and so do folders made for it.
 pub fn write(path: &Path, key: &Key) -> Result<(), KeyError> {
     let failed = |error| KeyError::Io(path.to_owned(), error);
     let folder = path.parent().filter(|folder| *folder != Path::new(""));
@@ -308,26 +308,7 @@ pub fn write(path: &Path, key: &Key) -> Result<(), KeyError> {
             sync_folder(folder).map_err(failed)?;
         }
     }
-    let fresh = path.with_extension("key.tmp");
-    // A file left by a crash may have any mode.
-    let _ = fs::remove_file(&fresh);
-    let mut options = OpenOptions::new();
-    let file = options
-        .write(true)
-        .create_new(true)
-        .mode(0o600)
-        .open(&fresh);
-    let mut file = file.map_err(failed)?;
-    let done = writeln!(file, "{}", key.text()).and_then(|()| file.sync_all());
-    done.and_then(|()| fs::rename(&fresh, path))
-        .and_then(|()| sync_folder(path))
-        .map_err(failed)
-}
-
-/// Has the names in a file's folder written to the disk.
-fn sync_folder(file: &Path) -> io::Result<()> {
-    let folder = file.parent().filter(|folder| *folder != Path::new(""));
-    fs::File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
+    replace(path, format!("{}\n", key.text()).as_bytes(), 0o600).map_err(failed)
 }
 
 #[cfg(test)]
@@ -391,15 +372,7 @@ mod tests {
             &"1".repeat(33),
             &"+1111111".repeat(4),
         ] {
-            let _ = fs::remove_file(&path);
-            let mut options = OpenOptions::new();
-            let mut file = options
-                .write(true)
-                .create_new(true)
-                .mode(0o600)
-                .open(&path)
-                .unwrap();
-            file.write_all(text.as_bytes()).unwrap();
+            replace(&path, text.as_bytes(), 0o600).unwrap();
             assert!(matches!(read(&path), Err(KeyError::Malformed(_))), "{text}");
         }
         let said = read(&scratch("none.key")).unwrap_err().to_string();

@@ -21,6 +21,7 @@
 //! | [`link`] | the socket in the servo thread |
 //! | [`client`] | the socket everywhere else: blocking requests, board identity, session |
 //! | [`address`] | `IP[:port]` |
+//! | [`replace`] | files that are written whole or not at all |
 //! | [`image`] | a bitstream file: what it is for, whether it is whole |
 //! | [`flash`] | the board's flash over the network |
 //! | [`discovery`] | finding boards with any address |
@@ -103,6 +104,7 @@ pub mod names;
 pub mod net;
 #[cfg(feature = "tool")]
 pub mod provision;
+pub mod replace;
 #[cfg(feature = "tool")]
 pub mod selftest;
 pub mod settings;

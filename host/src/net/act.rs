@@ -3,9 +3,9 @@
 use super::paths::Paths;
 use super::plan::{Act, Plan};
 use super::record::{Record, Undo, shown};
+use crate::replace::replace;
 use std::fs;
-use std::io::{self, Write};
-use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -140,7 +140,7 @@ impl Hand<'_> {
         let _ = self.remove(record);
     }
 
-    /// Whole, or not at all: a program that reads the folder sees no half of it.
+    /// The file, and a folder of ours for it.
     fn write(&self, path: &str, text: &str, mode: u32) -> io::Result<()> {
         let path = self.root.join(path);
         if let Some(folder) = path.parent()
@@ -149,22 +149,7 @@ impl Hand<'_> {
         {
             fs::create_dir(folder)?;
         }
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let part = path.with_file_name(format!(".{name}.part"));
-        let _ = fs::remove_file(&part);
-        let mut options = fs::OpenOptions::new();
-        options.write(true).create_new(true).mode(mode);
-        let written = options.open(&part).and_then(|mut file| {
-            file.write_all(text.as_bytes())?;
-            // Whatever the umask is.
-            file.set_permissions(fs::Permissions::from_mode(mode))?;
-            file.sync_all()?;
-            fs::rename(&part, &path)
-        });
-        if written.is_err() {
-            let _ = fs::remove_file(&part);
-        }
-        written
+        replace(&path, text.as_bytes(), mode)
     }
 
     /// The file, if it is there, and a folder of ours that is empty then.
