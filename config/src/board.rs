@@ -10,6 +10,7 @@ use crate::error::Error;
 use crate::platform::{Level, Platform, own_name};
 use crate::tree::{At, nearest, parse_toml};
 use std::collections::BTreeMap;
+use wire::describe::Channels;
 use wire::jobs::AXES as JOB_AXES;
 use wiring::Wiring;
 
@@ -125,6 +126,19 @@ impl Board {
     /// The channels of one kind.
     pub fn of(&self, class: Class) -> &[Channel] {
         &self.channels[class as usize]
+    }
+
+    /// How many channels there are of each kind.
+    pub fn channels(&self) -> Channels {
+        // No kind has more than 32.
+        let count = |class| self.of(class).len() as u8;
+        Channels {
+            stepgens: count(Class::Stepgen),
+            encoders: count(Class::Encoder),
+            pwms: count(Class::Pwm),
+            inputs: count(Class::Input),
+            outputs: count(Class::Output),
+        }
     }
 
     /// One bit per output that is high while the board is not armed.

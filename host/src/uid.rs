@@ -1,4 +1,5 @@
-//! The unique id of a board's flash. It identifies the board at any address.
+//! The unique id of a board's flash, which identifies the board at any address, and the MAC address
+//! that is made of it.
 
 /// A unique id as people read it: `d162-0c8a-1b2c-3d4e`.
 pub fn uid_text([hi, lo]: [u32; 2]) -> String {
@@ -9,6 +10,11 @@ pub fn uid_text([hi, lo]: [u32; 2]) -> String {
         lo >> 16,
         lo & 0xffff
     )
+}
+
+/// A MAC address: `02:00:00:1b:2c:3d`.
+pub fn mac_text(mac: [u8; 6]) -> String {
+    mac.map(|byte| format!("{byte:02x}")).join(":")
 }
 
 /// A unique id as people write it: 16 hex digits, with or without separators.

@@ -147,6 +147,14 @@ fn litexcncs_column_is_what_names_litexcnc_exports() {
     );
 }
 
+/// The two names are those of one pin.
+fn is_one_pin(hal: &FakeHal, theirs: &str, ours: &str) {
+    for level in [true, false] {
+        hal.set(theirs, level);
+        assert_eq!(hal.get::<bool>(ours), level, "{theirs} is {ours}");
+    }
+}
+
 /// What a HAL file calls ours: the words that begin with `prefix`.
 fn words<'f>(file: &'f str, prefix: &str) -> Vec<&'f str> {
     file.lines()
@@ -164,15 +172,7 @@ fn imported() -> (FakeBoard, ferrocnc_config::Board) {
     let platforms = ferrocnc_config::source::Folder::default();
     let import = ferrocnc_config::import::litexcnc("litexcnc.json", THEIRS, "mill", &platforms);
     let board = import.unwrap().board;
-    let count = |class| board.of(class).len() as u8;
-    let channels = wire::describe::Channels {
-        stepgens: count(Class::Stepgen),
-        encoders: count(Class::Encoder),
-        pwms: count(Class::Pwm),
-        inputs: count(Class::Input),
-        outputs: count(Class::Output),
-    };
-    let fake = FakeBoard::of("127.0.0.1:0", channels, Time::Lockstep(60_000));
+    let fake = FakeBoard::of("127.0.0.1:0", board.channels(), Time::Lockstep(60_000));
     fake.look().described = Some(ferrocnc_config::blob::blob(&board).unwrap());
     (fake, board)
 }
@@ -197,14 +197,8 @@ fn an_imported_board_has_every_pin_of_litexcncs_row_under_the_number_it_had_ther
         let ours = channels
             .find(|one| one.pin("pin") == instance["pin"].as_str())
             .unwrap();
-        let (ours, theirs) = (
-            format!("ferrocnc.0.gpio.{}.{pin}", ours.name),
-            format!("test.gpio.{number:02}.{pin}"),
-        );
-        for level in [true, false] {
-            hal.set(&theirs, level);
-            assert_eq!(hal.get::<bool>(&ours), level, "{theirs} is {ours}");
-        }
+        let ours = format!("ferrocnc.0.gpio.{}.{pin}", ours.name);
+        is_one_pin(&hal, &format!("test.gpio.{number:02}.{pin}"), &ours);
     }
     let known: BTreeSet<&str> = hal
         .list()
@@ -342,11 +336,8 @@ fn a_channel_with_a_name_in_litexcnc_is_called_by_it_as_it_is_written_and_others
         ),
         ("pwm.24V.enable", "pwm.spindle.enable"),
     ] {
-        let (theirs, ours) = (format!("test.{theirs}"), format!("ferrocnc.0.{ours}"));
-        for level in [true, false] {
-            hal.set(&theirs, level);
-            assert_eq!(hal.get::<bool>(&ours), level, "{theirs} is {ours}");
-        }
+        let ours = format!("ferrocnc.0.{ours}");
+        is_one_pin(&hal, &format!("test.{theirs}"), &ours);
     }
     // Pins of its own, too, and no other name beside it.
     let known: BTreeSet<&str> = hal

@@ -291,6 +291,17 @@ impl Nor {
         &self.cells
     }
 
+    /// Leaves cells and status registers in files, for a board that begins with them.
+    pub fn leave_in(&self, path: &Path) -> std::io::Result<()> {
+        std::fs::write(path, &self.cells)?;
+        self.leave_status(path)
+    }
+
+    fn leave_status(&self, path: &Path) -> std::io::Result<()> {
+        let [a, b, c] = self.kept;
+        std::fs::write(beside(path), format!("{a:02x} {b:02x} {c:02x}\n"))
+    }
+
     /// Puts bytes into the cells, as a factory's programmer does.
     pub fn preload(&mut self, at: usize, bytes: &[u8]) {
         self.cells[at..at + bytes.len()].copy_from_slice(bytes);
@@ -710,13 +721,10 @@ impl Nor {
             }
             Change::Erase(range) => self.keep(range.clone()),
             Change::Status(..) => {
-                if let Some((_, path)) = &self.file {
-                    let [a, b, c] = self.kept;
-                    if let Err(error) =
-                        std::fs::write(beside(path), format!("{a:02x} {b:02x} {c:02x}\n"))
-                    {
-                        eprintln!("sim: {}: {error}", path.display());
-                    }
+                if let Some((_, path)) = &self.file
+                    && let Err(error) = self.leave_status(path)
+                {
+                    eprintln!("sim: {}: {error}", path.display());
                 }
             }
         }

@@ -34,10 +34,7 @@ fn folder(name: &str) -> PathBuf {
 fn flash_file(folder: &Path, uid: u64) -> PathBuf {
     let path = folder.join(format!("{uid:016x}.flash"));
     let nor = factory(Part::W25Q32JV, uid);
-    std::fs::write(&path, nor.cells()).expect("a file");
-    let [a, b, c] = nor.registers();
-    let status = folder.join(format!("{uid:016x}.flash.status"));
-    std::fs::write(status, format!("{a:02x} {b:02x} {c:02x}\n")).expect("a file");
+    nor.leave_in(&path).expect("two files");
     path
 }
 

@@ -195,10 +195,7 @@ fn text(bytes: &[u8]) -> String {
 fn board(place: &Place, computer: &Computer) -> Simulator {
     let path = computer.folder.with_extension("flash");
     let nor = factory(Part::W25Q32JV, UID);
-    std::fs::write(&path, nor.cells()).expect("a file");
-    let [a, b, c] = nor.registers();
-    let status = computer.folder.with_extension("flash.status");
-    std::fs::write(status, format!("{a:02x} {b:02x} {c:02x}\n")).expect("a file");
+    nor.leave_in(&path).expect("two files");
     Simulator::at(place, &path, UID)
 }
 

@@ -369,7 +369,7 @@ impl Level {
             }
             Level::Jobs => board_tests("jobs", "3 min", "2"),
             // The drawing and the dense arc have a board of their own, the other tests share one.
-            Level::Plotter if named => tests_of("jobs_rtl", "13 min", "2", &["--include-ignored"]),
+            Level::Plotter if named => all_tests_of("jobs_rtl", "13 min", "2"),
             Level::Plotter => board_tests("jobs_rtl", "6 min", "2"),
             Level::Soc => Ok(board_tests("image", "1 min", "2")?
                 + board_tests("jobs_program", "4 min", "2")?
@@ -388,11 +388,11 @@ impl Level {
                 + board_tests("net", "1 min", "2")?
                 + board_tests("names", "1 min", "1")?),
             // The Verilated board of the second keeps a core busy, its twins do not.
-            Level::Clients => {
-                let more: &[&str] = if named { &["--include-ignored"] } else { &[] };
-                let clients = board_tests("clients", "2 min", "1")?;
-                Ok(clients + tests_of("network", "5 min", "3", more)?)
-            }
+            Level::Clients => Ok(board_tests("clients", "2 min", "1")?
+                + match named {
+                    true => all_tests_of("network", "7 min", "3")?,
+                    false => board_tests("network", "2 min", "3")?,
+                }),
             Level::Twin => Ok(board_tests("twin", "3 min", "1")?
                 + board_tests("guide", "2 min", "1")?
                 + board_tests("trouble", "7 min", "1")?),
@@ -469,6 +469,11 @@ fn maximum_board() -> Result<()> {
 /// LinuxCNC one, for its HAL is one per machine.
 fn board_tests(name: &str, expect: &str, threads: &str) -> Result<usize> {
     tests_of(name, expect, threads, &[])
+}
+
+/// The same, and those that run only if their level is named.
+fn all_tests_of(name: &str, expect: &str, threads: &str) -> Result<usize> {
+    tests_of(name, expect, threads, &["--include-ignored"])
 }
 
 /// The same, with more arguments for the program.

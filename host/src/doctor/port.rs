@@ -37,8 +37,8 @@ pub struct Coalescing {
 
 impl Coalescing {
     /// From what `ethtool -c` prints, if there is an ethtool.
-    pub fn of(text: &Option<String>) -> Self {
-        let text = text.as_deref().unwrap_or_default();
+    pub fn of(text: Option<&str>) -> Self {
+        let text = text.unwrap_or_default();
         let value = |name: &str| {
             let line = text.lines().find_map(|line| line.trim().strip_prefix(name));
             line.and_then(|line| line.split_whitespace().next())
@@ -239,7 +239,7 @@ impl Port<'_> {
         let Some(text) = self.ethtool("-c") else {
             return Self::without_ethtool(check);
         };
-        let coalescing = Coalescing::of(&Some(text));
+        let coalescing = Coalescing::of(Some(&text));
         let fact = match (coalescing.adaptive, coalescing.usecs) {
             (Some(true), _) => "adaptive".to_owned(),
             (_, None) => return Finding::good(check, "none"),

@@ -9,14 +9,29 @@ use crate::hal::Type::{Bit, Float, U32};
 use crate::hal::checked::Rule;
 use wire::board::{HAL_NAME_LEN, Kind, is_foreign_name};
 
-/// The longest pin of a channel of each class.
-const LONGEST: [(u8, &str, &str); 5] = [
-    (b's', "stepgen", "position-prediction"),
-    (b'e', "encoder", "overflow-occurred"),
-    (b'p', "pwm", "curr-pwm-freq"),
-    (b'i', "gpio", "in-not"),
-    (b'o', "gpio", "invert-output"),
-];
+/// A kind of channel: the letter of its pins in the board's description, its class here, and the
+/// longest pin of one.
+struct Class {
+    kind: Kind,
+    letter: u8,
+    name: &'static str,
+    longest: &'static str,
+}
+
+const fn class(kind: Kind, letter: u8, name: &'static str, longest: &'static str) -> Class {
+    Class {
+        kind,
+        letter,
+        name,
+        longest,
+    }
+}
+
+const STEPGEN: Class = class(Kind::Stepgen, b's', "stepgen", "position-prediction");
+const ENCODER: Class = class(Kind::Encoder, b'e', "encoder", "overflow-occurred");
+const PWM: Class = class(Kind::Pwm, b'p', "pwm", "curr-pwm-freq");
+const INPUT: Class = class(Kind::Input, b'i', "gpio", "in-not");
+const OUTPUT: Class = class(Kind::Output, b'o', "gpio", "invert-output");
 
 /// Exports all of them. `named`: channels that have a name in LiteX-CNC's JSON are called by it.
 pub(super) fn export(
@@ -25,8 +40,8 @@ pub(super) fn export(
     driver: &Driver,
     named: bool,
 ) -> Result<(), ExportError> {
-    let called = |letter, number: u8, n| {
-        let name = named.then(|| name(identity, letter, n)).flatten();
+    let called = |class: &Class, number: u8, n| {
+        let name = named.then(|| name(identity, class, n)).flatten();
         // As with the row below: `Scheme::check` has refused others.
         let name = name.filter(|name| is_foreign_name(name));
         name.map_or_else(|| format!("{number:02}"), str::to_owned)
@@ -84,22 +99,22 @@ pub(super) fn export(
             true => &[("in", "in"), ("in-not", "in-not")],
             false => &[("out", "out"), ("invert-output", "invert")],
         };
-        let letter = if place.input { b'i' } else { b'o' };
-        let called = called(letter, place.number, place.ours);
+        let class = if place.input { &INPUT } else { &OUTPUT };
+        let called = called(class, place.number, place.ours);
         for (their, our) in pins {
             let theirs = format!("gpio.{called}.{their}");
             names.alias(&theirs, &format!("gpio.{}.{our}", place.ours))?;
         }
     }
     for n in 0..channels.stepgens {
-        stepgen(names, n, &called(b's', n, n))?;
+        stepgen(names, n, &called(&STEPGEN, n, n))?;
     }
     for n in 0..channels.encoders {
-        encoder(names, n, &called(b'e', n, n))?;
+        encoder(names, n, &called(&ENCODER, n, n))?;
     }
     for n in 0..channels.pwms {
         let has_direction = identity.has_pin(b'p', usize::from(n), "dir");
-        pwm(names, n, &called(b'p', n, n), has_direction, clock)?;
+        pwm(names, n, &called(&PWM, n, n), has_direction, clock)?;
     }
     Ok(())
 }
@@ -287,18 +302,9 @@ fn pwm(
 
 /// What LiteX-CNC's JSON calls a channel, as the board's description says it; nothing behind `as=`
 /// is its name here.
-fn name(identity: &Identity, letter: u8, n: u8) -> Option<&str> {
-    match identity.pin(letter, usize::from(n), "as")? {
-        "" => {
-            let kind = match letter {
-                b's' => Kind::Stepgen,
-                b'e' => Kind::Encoder,
-                b'p' => Kind::Pwm,
-                b'i' => Kind::Input,
-                _ => Kind::Output,
-            };
-            identity.blob().text(kind, n)
-        }
+fn name<'i>(identity: &'i Identity, class: &Class, n: u8) -> Option<&'i str> {
+    match identity.pin(class.letter, usize::from(n), "as")? {
+        "" => identity.blob().text(class.kind, n),
         said => Some(said),
     }
 }
@@ -306,16 +312,15 @@ fn name(identity: &Identity, letter: u8, n: u8) -> Option<&str> {
 /// Refuses names of channels that HAL cannot have behind this prefix.
 pub(super) fn judge_names(identity: &Identity, prefix: &str) -> Result<(), NameError> {
     let channels = identity.describe.channels;
-    for (letter, class, longest) in LONGEST {
-        let count = match letter {
-            b's' => channels.stepgens,
-            b'e' => channels.encoders,
-            b'p' => channels.pwms,
-            b'i' => channels.inputs,
-            _ => channels.outputs,
-        };
+    for (class, count) in [
+        (&STEPGEN, channels.stepgens),
+        (&ENCODER, channels.encoders),
+        (&PWM, channels.pwms),
+        (&INPUT, channels.inputs),
+        (&OUTPUT, channels.outputs),
+    ] {
         let mut known = Vec::new();
-        for name in (0..count).filter_map(|n| name(identity, letter, n)) {
+        for name in (0..count).filter_map(|n| name(identity, class, n)) {
             if !is_foreign_name(name) {
                 return Err(NameError::NoWord(name.to_owned()));
             }
@@ -323,7 +328,7 @@ pub(super) fn judge_names(identity: &Identity, prefix: &str) -> Result<(), NameE
                 return Err(NameError::Twice(name.to_owned()));
             }
             known.push(name);
-            let pin = format!("{prefix}.{class}.{name}.{longest}");
+            let pin = format!("{prefix}.{}.{name}.{}", class.name, class.longest);
             if pin.len() > HAL_NAME_LEN {
                 return Err(NameError::Long(pin));
             }

@@ -118,7 +118,7 @@ impl Facts {
                 Manager::NetworkManager => connection(system, interface),
                 Manager::Ifupdown | Manager::Nothing => None,
             },
-            coalescing: Coalescing::of(&system.print("ethtool", &["-c", interface])),
+            coalescing: Coalescing::of(system.print("ethtool", &["-c", interface]).as_deref()),
             kernel: settings.collect(),
             missing: missing(system),
             files: present.collect(),

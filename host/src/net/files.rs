@@ -3,6 +3,7 @@
 use super::facts::{Board, Facts, kernel};
 use super::paths::{Paths, own};
 use crate::doctor::port::Coalescing;
+use crate::uid::mac_text;
 use std::net::Ipv4Addr;
 
 /// A file to write.
@@ -77,10 +78,10 @@ table netdev {own} {{
     /// Commands that tell the kernel boards' hardware addresses.
     fn neighbours(&self) -> impl Iterator<Item = String> {
         self.boards.iter().map(|board| {
-            let mac = board.mac.map(|byte| format!("{byte:02x}")).join(":");
             format!(
-                "ip neigh replace {} lladdr {mac} nud permanent dev {}",
+                "ip neigh replace {} lladdr {} nud permanent dev {}",
                 board.ip,
+                mac_text(board.mac),
                 self.interface()
             )
         })

@@ -48,18 +48,13 @@ pub fn flash_file(folder: &Folder, nor: Nor, name: &str, dhcp: bool) -> PathBuf 
     };
     assert_eq!(bench.save(&settings), Went::OK);
     let path = folder.path().join("board.flash");
-    let nor = bench.nor();
-    std::fs::write(&path, nor.cells()).expect("a file");
-    let [a, b, c] = nor.registers();
-    let status = folder.path().join("board.flash.status");
-    std::fs::write(status, format!("{a:02x} {b:02x} {c:02x}\n")).expect("a file");
+    bench.nor().leave_in(&path).expect("two files");
     path
 }
 
 /// The MAC address of a board with [`UID`].
 pub fn mac() -> String {
-    let mac = mac_of_uid([(UID >> 32) as u32, UID as u32]);
-    mac.map(|byte| format!("{byte:02x}")).join(":")
+    host::uid::mac_text(mac_of_uid([(UID >> 32) as u32, UID as u32]))
 }
 
 /// [`UID`] as the tool writes it.

@@ -1,6 +1,7 @@
 //! `ferrocnc config`: writes, checks, shows and draws board files, and imports those of other
 //! projects. It needs no board.
 
+use crate::consent;
 use crate::hal_file::{self, Rewritten};
 use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, Subcommand, ValueEnum};
@@ -388,9 +389,7 @@ fn import(from: From, file: &Path, to: &Path, hal: Option<&Path>, force: bool) -
 /// A HAL file for the imported board, and where to write it.
 fn rewrite(file: &Path, imported: &Imported, force: bool) -> Result<(PathBuf, Rewritten)> {
     let to = file.with_file_name(format!("{}-ferrocnc.hal", stem(file)));
-    if to.exists() && !force {
-        bail!("{} is there already; --force overwrites it", to.display());
-    }
+    consent::may_write(&to, force)?;
     let shown = file.display().to_string();
     let text = read_text(file)?;
     let rewritten = hal_file::rewrite(&shown, &text, &imported.board, &imported.prefix)?;
@@ -409,9 +408,7 @@ fn export_to(to: From, file: &Path, output: Option<&Path>, force: bool) -> Resul
     })?;
     let name = format!("{}.{ending}", board.name);
     let to = output.map_or_else(|| PathBuf::from(name), Path::to_owned);
-    if to.exists() && !force {
-        bail!("{} is there already; --force overwrites it", to.display());
-    }
+    consent::may_write(&to, force)?;
     save(&to, &written.text)?;
     for note in written.notes {
         say(&format!("  note: {note}\n"))?;
@@ -429,9 +426,7 @@ fn target(name: &str, output: Option<&Path>, force: bool) -> Result<PathBuf> {
     if file.extension().is_none_or(|ending| ending != "toml") {
         bail!("{}: a board file ends in .toml", file.display());
     }
-    if file.exists() && !force {
-        bail!("{} is there already; --force overwrites it", file.display());
-    }
+    consent::may_write(&file, force)?;
     Ok(file)
 }
 

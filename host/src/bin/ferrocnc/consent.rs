@@ -3,6 +3,15 @@
 use anyhow::{Result, bail};
 use std::io::{BufRead, Write};
 use std::os::unix::fs::MetadataExt;
+use std::path::Path;
+
+/// A file that is there is overwritten only by --force.
+pub(crate) fn may_write(file: &Path, force: bool) -> Result<()> {
+    if file.exists() && !force {
+        bail!("{} is there already; --force overwrites it", file.display());
+    }
+    Ok(())
+}
 
 /// The command is for root.
 pub(crate) fn needs_root(what: &str, command: &str) -> Result<()> {

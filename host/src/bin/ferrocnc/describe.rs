@@ -1,11 +1,11 @@
 //! `ferrocnc describe`: prints a board's description of itself.
 
-use crate::text::{mac_text, version};
+use crate::text::version;
 use anyhow::{Result, bail};
 use ferrocnc::client::{Client, Identity};
 use ferrocnc::flash::Overview;
 use ferrocnc::selftest::{gather, ways};
-use ferrocnc::uid::uid_text;
+use ferrocnc::uid::{mac_text, uid_text};
 use serde_json::{Value, json};
 use std::io::Write;
 use std::net::Ipv4Addr;

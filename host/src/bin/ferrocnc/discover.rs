@@ -1,12 +1,12 @@
 //! `ferrocnc discover`: lists every board on the segment, at any address.
 
-use crate::text::{mac_text, version};
+use crate::text::version;
 use anyhow::Result;
 use clap::Args;
 use ferrocnc::address;
 use ferrocnc::discovery::{DiscoveryError, Finder, Found, WAIT, filters};
 use ferrocnc::mdns;
-use ferrocnc::uid::uid_text;
+use ferrocnc::uid::{mac_text, uid_text};
 use serde_json::{Value, json};
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::Duration;

@@ -11,10 +11,10 @@ use ferrocnc::driver::Driver;
 use ferrocnc::hal::fake::FakeHal;
 use ferrocnc::link::Link;
 use ferrocnc::names::{self, Scheme};
-use ferrocnc_config::{Board, Class, blob};
+use ferrocnc_config::{Board, blob};
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::{Ipv4Addr, UdpSocket};
-use wire::describe::{Channels, Describe};
+use wire::describe::Describe;
 use wire::exchange::StateWord;
 use wire::{GateClose, ResetReason};
 
@@ -267,14 +267,6 @@ fn exported(board: &Board, scheme: &str) -> Result<Known> {
 /// What a board of this configuration would say of itself.
 fn identity(board: &Board) -> Result<Identity> {
     let blob = blob::blob(board)?;
-    let count = |class| u8::try_from(board.of(class).len());
-    let channels = Channels {
-        stepgens: count(Class::Stepgen)?,
-        encoders: count(Class::Encoder)?,
-        pwms: count(Class::Pwm)?,
-        inputs: count(Class::Input)?,
-        outputs: count(Class::Output)?,
-    };
     let state = StateWord::from_word(0).map_err(|_| anyhow!("no state is 0"))?;
     let describe = Describe {
         wire_version: wire::WIRE_VERSION,
@@ -283,7 +275,7 @@ fn identity(board: &Board) -> Result<Identity> {
         firmware_version: 0,
         gateware_version: 0,
         clock_hz: board.sys_clk_hz,
-        channels,
+        channels: board.channels(),
         features: 0,
         boot_id: 0,
         blob_words: u32::try_from(blob.len() / 4)?,

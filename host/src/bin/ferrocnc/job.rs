@@ -3,6 +3,7 @@
 
 mod board;
 
+use crate::consent;
 use crate::progress::Bar;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, Subcommand, ValueEnum};
@@ -383,9 +384,7 @@ fn report(program: &Program, trace: &Trace, wrong: &[String], as_json: bool) -> 
 }
 
 fn save(file: &Path, bytes: &[u8], force: bool) -> Result<()> {
-    if file.exists() && !force {
-        bail!("{} is there already; --force overwrites it", file.display());
-    }
+    consent::may_write(file, force)?;
     std::fs::write(file, bytes)
         .map_err(|error| anyhow!("{}: cannot be written ({error})", file.display()))
 }

@@ -1,7 +1,6 @@
 //! `ferrocnc net`: gives a port of this computer to the board, and takes it back.
 
 use crate::consent;
-use crate::text::mac_text;
 use anyhow::{Result, bail};
 use clap::{Args, Subcommand};
 use ferrocnc::discovery::{Finder, Found, WAIT};
@@ -9,7 +8,7 @@ use ferrocnc::doctor::system::System;
 use ferrocnc::net::act::Hand;
 use ferrocnc::net::facts::{Board, Facts, Kind};
 use ferrocnc::net::plan::{Plan, Refusal, Wish, is_plain, net, plan, refuse};
-use ferrocnc::uid::{uid_parse, uid_text};
+use ferrocnc::uid::{mac_text, uid_parse, uid_text};
 use serde_json::{Value, json};
 use std::net::Ipv4Addr;
 use std::time::{Duration, Instant};

@@ -1,12 +1,11 @@
 //! `ferrocnc set`: changes a board's address, name, MAC and port, and the servers of its log.
 
 use crate::discover::{Where, to_json};
-use crate::text::mac_text;
 use anyhow::{Context, Result, bail};
 use clap::{ArgGroup, Args};
 use ferrocnc::client::Client;
 use ferrocnc::provision::{self, Change, ProvisionError};
-use ferrocnc::uid::{uid_parse, uid_text};
+use ferrocnc::uid::{mac_text, uid_parse, uid_text};
 use serde_json::json;
 use std::net::Ipv4Addr;
 use std::time::Duration;
