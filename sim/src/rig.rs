@@ -609,11 +609,14 @@ impl<S: Silicon> Rig<S> {
 
     /// Ping the board; round trip in sys clocks, request's first byte to reply's first byte.
     pub fn ping(&mut self) -> Option<u64> {
+        self.ping_with(b"FerroCNC")
+    }
+
+    /// The same with this payload, which the answer has to have.
+    pub fn ping_with(&mut self, payload: &[u8]) -> Option<u64> {
         self.ping_seq += 1;
         let (ident, seq_no) = (0x4643, self.ping_seq);
-        let frame = self
-            .segment
-            .echo_request(HOST_IP, ident, seq_no, b"FerroCNC");
+        let frame = self.segment.echo_request(HOST_IP, ident, seq_no, payload);
         // Answers to earlier pings may still be queued.
         while self.segment.take_echo().is_some() {}
         let started = self.board.now();
@@ -621,8 +624,7 @@ impl<S: Silicon> Rig<S> {
         let mut answer = None;
         let until = self.clock() + self.patience;
         self.run_while(until, |rig| {
-            let ours =
-                |e: &Echo| (e.ident, e.seq_no, &e.payload[..]) == (ident, seq_no, b"FerroCNC");
+            let ours = |e: &Echo| (e.ident, e.seq_no, &e.payload[..]) == (ident, seq_no, payload);
             answer = std::iter::from_fn(|| rig.segment.take_echo()).find(ours);
             answer.is_none()
         });

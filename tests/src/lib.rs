@@ -660,6 +660,14 @@ impl BenchMachine {
         self.rig.ping()
     }
 
+    /// Pings with this payload. The frame that answers, or `None`.
+    pub fn ping_with(&mut self, payload: &[u8]) -> Option<Vec<u8>> {
+        self.rig.capture_frames();
+        self.rig.take_frames();
+        self.rig.ping_with(payload)?;
+        self.rig.take_frames().pop()
+    }
+
     /// One session on the console.
     pub fn console(&mut self, text: &str) -> String {
         self.rig

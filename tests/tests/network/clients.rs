@@ -275,7 +275,7 @@ fn real_clients_are_served_by_the_release_image_on_the_verilated_board_at_a_leas
 /// dnsmasq's shortest time to a renewal is two seconds: four minutes of the Verilated board.
 #[test]
 #[ignore = "named: cargo xtask test clients"]
-fn the_verilated_board_renews_its_lease_and_is_found_by_its_name() {
+fn the_verilated_board_renews_its_lease_beside_a_console_and_the_tool() {
     let folder = Folder::new("rtl-renewal");
     let mut lan = Lan::new();
     let host = lan.plug(Some("10.7.0.1/24"));
@@ -283,6 +283,8 @@ fn the_verilated_board_renews_its_lease_and_is_found_by_its_name() {
     let began = Instant::now();
     let (mut simulator, board) = leased_board(&folder, &mut lan, &server);
     let done = |what: &str| println!("{what} after {:.1} s", began.elapsed().as_secs_f64());
+    telnet(&host, &board, "characters");
+    done("telnet's keys");
     let said = until("a renewal", || {
         let said = server.said();
         match kinds(&said).len() >= BEGINS.len() + 2 {

@@ -6,5 +6,6 @@
 mod datagrams;
 mod exchange;
 mod faults;
+mod lengths;
 mod passes;
 mod ways;

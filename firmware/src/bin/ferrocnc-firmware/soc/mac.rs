@@ -12,6 +12,7 @@
 //! admits the owner's frames, and one other frame for each call of [`Mac::admit`].
 
 use core::mem::MaybeUninit;
+use core::ops::Range;
 use core::ptr::{read_volatile, write_volatile};
 use core::sync::atomic::{Ordering, compiler_fence};
 use firmware::block::Shape;
@@ -97,9 +98,15 @@ impl Buffer {
         }
         let mut slot = Mac::tx(COMMON);
         let mut carry = 0;
-        let words = length.min(FRAME_MAX).div_ceil(4);
+        let length = length.min(FRAME_MAX);
+        let words = length.div_ceil(4);
+        // The bytes behind the frame may leave as its padding.
+        let behind = words * 4 - length;
         for (index, word) in self.0.iter().take(words).enumerate() {
-            let next = word.swap_bytes();
+            let mut next = word.swap_bytes();
+            if index + 1 == words {
+                next &= u32::MAX << (behind * 8);
+            }
             slot.put(index, carry << 16 | next >> 16);
             carry = next;
         }
@@ -129,8 +136,19 @@ fn aim(regs: &Ethmac, slot: u32, length: u32) {
         .write(|w| unsafe { w.bits(length) });
 }
 
-/// Sends the common slot, with all that was written to it before.
+/// Bytes of the shortest frame without its FCS. LiteEth pads shorter ones, but behind one of its
+/// last three lengths it does not begin to count anew: the next short one leaves unpadded, and is
+/// dropped by what receives it.
+const SHORTEST: usize = 60;
+const PADDED: Range<usize> = SHORTEST - 3..SHORTEST;
+
+/// Sends the common slot, with all that was written to it before. Behind the frame there are zeros
+/// up to the end of a word.
 fn start_common(regs: &Ethmac, length: usize) {
+    let length = match PADDED.contains(&length) {
+        true => SHORTEST,
+        false => length,
+    };
     compiler_fence(Ordering::Release);
     aim(regs, COMMON as u32, (length + PAD) as u32);
     regs.sram_reader_start().write(|w| unsafe { w.bits(1) });
