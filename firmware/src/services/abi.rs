@@ -132,7 +132,7 @@ pub struct Patrol {
     /// Their sum as they were loaded.
     sum: u32,
     done: usize,
-    check: Check,
+    crc: Crc32,
 }
 
 impl Default for Patrol {
@@ -148,17 +148,17 @@ impl Patrol {
             end: 0,
             sum: 0,
             done: 0,
-            check: Check::new(),
+            crc: Crc32::new(),
         }
     }
 
-    /// So many words of the program are loaded, and `check` has taken them. The piece that ends
-    /// with the code says its sum.
+    /// So many words of the program have come, which `words` begin with, and `check` has taken
+    /// them. The piece that ends with the code says its sum.
     pub fn loaded(&mut self, words: &[u32], done: usize, check: &Check) {
         let end = words.get(FIXED_END_AT).copied().unwrap_or(0);
         let bytes = end.wrapping_sub(SDRAM_BASE as u32) as usize;
         if done * 4 == bytes {
-            (self.end, self.sum) = (done, check.crc.value());
+            (self.end, self.done, self.sum) = (done, done, check.crc.value());
         }
     }
 
@@ -166,22 +166,44 @@ impl Patrol {
     /// that was loaded.
     pub fn step(&mut self, words: &[u32]) -> bool {
         if self.done >= self.end {
-            self.done = 0;
-            self.check = Check::new();
+            // The first word is the CRC itself.
+            (self.done, self.crc) = (usize::from(self.end > 0), Crc32::new());
         }
         let next = self.end.min(self.done + PATROL);
-        self.check.add(words.get(self.done..next).unwrap_or(&[]));
+        let piece = words.get(self.done..next).unwrap_or(&[]);
+        self.crc.update_words(piece);
         self.done = next;
-        next < self.end || self.end == 0 || self.check.crc.value() == self.sum
+        next < self.end || self.end == 0 || self.crc.value() == self.sum
     }
 }
 
-/// Is this a program for this ROM? It takes the SDRAM's content in pieces, with the length that its
-/// last words give.
+/// Is this a program for this ROM, and has the SDRAM kept it? It takes the words as the flash gives
+/// them, with the length that the last ones give, and then all of them again as the SDRAM does:
+/// behind the last one, because what is written to one place may change another.
+///
+/// The CRC takes longer than to read a word from the SDRAM, and the flash leaves time for it. So
+/// what the SDRAM gives is only compared, by a hash.
 #[derive(Clone, Copy, Debug)]
 pub struct Check {
     crc: Crc32,
     begun: bool,
+    came: Hash,
+    kept: Hash,
+}
+
+/// A hash of words in their order: each word changes it one to one, so that a single wrong word
+/// always shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Hash(u32);
+
+impl Hash {
+    /// An odd number with bits everywhere: 2^32 divided by the golden ratio.
+    const FACTOR: u32 = 0x9e37_79b1;
+
+    /// A multiplication moves bits up only; the rotation brings them down again.
+    fn add(&mut self, word: u32) {
+        self.0 = (self.0 ^ word).rotate_left(7).wrapping_mul(Self::FACTOR);
+    }
 }
 
 impl Default for Check {
@@ -193,24 +215,35 @@ impl Default for Check {
 impl Check {
     /// Before the first word.
     pub const fn new() -> Self {
-        let crc = Crc32::new();
-        Check { crc, begun: false }
+        Check {
+            crc: Crc32::new(),
+            begun: false,
+            came: Hash(0),
+            kept: Hash(0),
+        }
     }
 
-    /// The next words.
-    pub fn add(&mut self, words: &[u32]) {
+    /// The next word of the flash.
+    pub fn came(&mut self, word: u32) {
+        self.came.add(word);
         // The first word is the CRC itself.
-        let from = usize::from(!self.begun && !words.is_empty());
-        self.begun |= from > 0;
-        self.crc.update_words(words.get(from..).unwrap_or(&[]));
+        if self.begun {
+            self.crc.update_words(&[word]);
+        }
+        self.begun = true;
     }
 
-    /// All words were added; `words` begin as the program does.
+    /// The next words of the SDRAM.
+    pub fn kept(&mut self, words: &[u32]) {
+        words.iter().for_each(|word| self.kept.add(*word));
+    }
+
+    /// All words have come and were kept; `words` begin as the program does.
     pub fn verdict(&self, words: &[u32], abi: u32) -> JobsState {
         let [crc, rest @ ..] = words else {
             return JobsState::Missing;
         };
-        if *crc != self.crc.value() {
+        if *crc != self.crc.value() || self.came != self.kept {
             JobsState::Damaged
         } else if !rest.starts_with(&[INTERFACE, abi]) {
             JobsState::Foreign
@@ -247,7 +280,8 @@ mod tests {
     fn check(words: &[u32], abi: u32) -> JobsState {
         let verdict = |piece: usize| {
             let mut check = Check::new();
-            words.chunks(piece).for_each(|words| check.add(words));
+            words.iter().for_each(|word| check.came(*word));
+            words.chunks(piece).for_each(|words| check.kept(words));
             check.verdict(words, abi)
         };
         let all = [words.len().max(1), words.len() / 2 + 1, 1].map(verdict);
@@ -273,6 +307,48 @@ mod tests {
         }
     }
 
+    /// What the flash gave, and what the SDRAM gives.
+    fn kept(came: &[u32], kept: &[u32]) -> JobsState {
+        let mut check = Check::new();
+        came.iter().for_each(|word| check.came(*word));
+        check.kept(kept);
+        check.verdict(kept, ABI)
+    }
+
+    #[test]
+    fn an_sdram_that_does_not_keep_what_came_is_noticed() {
+        let came = program();
+        assert_eq!(kept(&came, &came), JobsState::Alive);
+        for at in 0..came.len() {
+            for bit in 0..32 {
+                let mut one = came.clone();
+                one[at] ^= 1 << bit;
+                assert_ne!(kept(&came, &one), JobsState::Alive, "word {at} bit {bit}");
+                // The same bit of two words, which a sum would not see.
+                one[(at + 1) % came.len()] ^= 1 << bit;
+                assert_ne!(kept(&came, &one), JobsState::Alive, "words {at}, bit {bit}");
+            }
+        }
+        for line in 0..32 {
+            let low: Vec<u32> = came.iter().map(|word| word & !(1 << line)).collect();
+            let high: Vec<u32> = came.iter().map(|word| word | 1 << line).collect();
+            for lines in [low, high].iter().filter(|lines| **lines != came) {
+                assert_ne!(kept(&came, lines), JobsState::Alive, "line {line}");
+            }
+        }
+        // An address line that is low: a word lies where another one lay, which came last.
+        for line in (0..).map(|n| 1 << n).take_while(|line| *line < came.len()) {
+            let behind = |at: usize| Some(at | line).filter(|at| *at < came.len());
+            let aliased: Vec<u32> = (0..came.len())
+                .map(|at| came[behind(at & !line).unwrap_or(at & !line)])
+                .collect();
+            assert_ne!(kept(&came, &aliased), JobsState::Alive, "line {line}");
+        }
+        let mut swapped = came.clone();
+        swapped.swap(20, 50);
+        assert_ne!(kept(&came, &swapped), JobsState::Alive);
+    }
+
     /// A program of which the first `fixed` words never change, and its patrol, loaded in pieces of
     /// 64 words as the ROM does.
     fn loaded(fixed: usize) -> (Vec<u32>, Patrol) {
@@ -282,7 +358,7 @@ mod tests {
         let words = sealed(words);
         let (mut check, mut patrol) = (Check::new(), Patrol::new());
         for (n, piece) in words.chunks(64).enumerate() {
-            check.add(piece);
+            piece.iter().for_each(|word| check.came(*word));
             patrol.loaded(&words, 64 * n + piece.len(), &check);
         }
         (words, patrol)

@@ -42,13 +42,24 @@ impl FlashSpi {
         self.0.status().read().factory_pin().bit()
     }
 
-    /// Reads words from this address of the flash, as they lie there.
+    /// Reads words from this address of the flash, as they lie there. While the next one comes,
+    /// which takes 128 clocks, `sum` gets the one before.
     #[inline(never)]
-    pub fn stream(&mut self, address: u32, words: &mut [u32]) {
+    pub fn stream(&mut self, address: u32, words: &mut [u32], mut sum: impl FnMut(u32)) {
         self.select(true);
         self.shift(32, u32::from(READ) << 24 | address & 0xff_ffff);
+        let mut left = words.len();
+        if left > 0 {
+            self.start(0);
+        }
         for word in words {
-            *word = self.shift(32, 0).to_be();
+            let came = self.received();
+            left -= 1;
+            if left > 0 {
+                self.start(0);
+            }
+            *word = came.to_be();
+            sum(*word);
         }
         self.select(false);
     }
@@ -62,8 +73,18 @@ impl FlashSpi {
     fn shift(&mut self, bits: u32, word: u32) -> u32 {
         // SAFETY: 8 or 32.
         self.0.length().write(|w| unsafe { w.bits(bits) });
+        self.start(word);
+        self.received()
+    }
+
+    /// Begins to shift a word out, with the length of the transfer before.
+    fn start(&mut self, word: u32) {
         // SAFETY: any word.
         self.0.data().write(|w| unsafe { w.bits(word) });
+    }
+
+    /// Waits for the end of the transfer.
+    fn received(&self) -> u32 {
         while self.0.status().read().busy().bit() {}
         self.0.data().read().bits()
     }
