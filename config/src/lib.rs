@@ -10,6 +10,7 @@ pub mod blob;
 pub mod board;
 pub mod error;
 pub mod export;
+pub mod first_light;
 pub mod hal;
 pub mod import;
 pub mod new;

@@ -94,7 +94,7 @@ fn line(platform: &Platform, line: Option<&ControlInput>) -> String {
 }
 
 /// `j1:7 (E, pin 8, N4)`.
-fn place(platform: &Platform, pin: &str) -> String {
+pub(crate) fn place(platform: &Platform, pin: &str) -> String {
     let Some((role, ball)) = platform.pin(pin) else {
         return pin.to_owned();
     };

@@ -11,6 +11,7 @@ use ferrocnc::hal::{Direction, Type};
 use ferrocnc::names::{self, Scheme};
 use ferrocnc_config::Class;
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
 const PAGE: &str = include_str!("../../docs/pins.md");
 
@@ -94,6 +95,58 @@ fn every_pin_is_on_the_page_with_its_type_and_nothing_else_is() {
     for name in page.keys() {
         assert!(exported.contains_key(name), "{name} is on the page only");
     }
+}
+
+/// What the comments of a first-light file ask to be typed, and what the file sets itself.
+fn first_light_lines(text: &str) -> impl Iterator<Item = &str> {
+    text.lines()
+        .map(|line| line.strip_prefix("#   ").unwrap_or(line))
+        .filter(|line| line.starts_with("setp ") || line.starts_with("getp "))
+}
+
+#[test]
+fn a_first_light_file_sets_and_asks_for_pins_that_are_there() {
+    let boards = Path::new(env!("CARGO_MANIFEST_DIR")).join("../boards");
+    let board = ferrocnc_config::read_board(&boards.join("mill6.toml")).unwrap();
+    let hal = export(None);
+    let there: BTreeMap<String, Direction> = hal
+        .list()
+        .map(|(name, _, direction)| (general(name, "ferrocnc.0.").unwrap(), direction))
+        .collect();
+    let text = ferrocnc_config::first_light::first_light(&board, None);
+    let mut looked = 0;
+    for line in first_light_lines(&text) {
+        let words: Vec<&str> = line.split(' ').collect();
+        let direction = general(words[1], "ferrocnc.0.").and_then(|name| there.get(&name));
+        let direction = direction.unwrap_or_else(|| panic!("{line}: no such pin"));
+        match words[0] {
+            "setp" => assert!(
+                matches!(
+                    direction,
+                    Direction::In | Direction::Io | Direction::ReadWrite
+                ),
+                "{line}"
+            ),
+            _ => looked += 1,
+        }
+    }
+    // Every input, every encoder, every step generator, every PWM, and whether it is armed.
+    let channels = board.channels();
+    let all = [
+        channels.stepgens,
+        channels.encoders,
+        channels.pwms,
+        channels.inputs,
+    ];
+    assert_eq!(
+        looked,
+        1 + all.iter().map(|n| usize::from(*n)).sum::<usize>()
+    );
+    assert!(text.contains("\nloadrt ferrocnc boards=192.168.2.50\n"));
+    let long = text.lines().find(|line| line.len() > 100);
+    assert_eq!(long, None, "a line is too long to read in a terminal");
+    let elsewhere = ferrocnc_config::first_light::first_light(&board, Some("10.0.0.7:99"));
+    assert!(elsewhere.contains("\nloadrt ferrocnc boards=10.0.0.7:99\n"));
 }
 
 /// Aliases and pins of their own, exported under `prefix`, against a column of the page.

@@ -5,6 +5,7 @@
 //! and fast enough for programs of seconds. HAL exists once per machine, so these tests run one
 //! after the other.
 
+use ferrocnc_config::Class;
 use ferrocnc_tests::hal::{halrun, out, root};
 use ferrocnc_tests::{Simulator, report_part};
 use serde_json::Value;
@@ -239,6 +240,67 @@ fn an_hal_file_written_for_litexcnc_moves_the_axes() {
     for (axis, off) in mill_with("litexcnc").into_iter().enumerate() {
         assert_eq!(off, 0, "axis {axis}");
     }
+}
+
+#[test]
+fn a_generated_first_light_file_moves_nothing_and_what_it_says_to_type_moves_every_channel() {
+    let board = ferrocnc_config::read_board(&root().join("boards/mill6.toml")).expect("mill6");
+    let report = out("first-light-report").join("report.json");
+    let mut twin = Simulator::twin(&[
+        "--mode",
+        "lockstep",
+        "--report",
+        &report.display().to_string(),
+    ]);
+    let address = twin.udp().to_string();
+    let file = ferrocnc_config::first_light::first_light(&board, Some(&address));
+    let (_, below) = file.split_once("\nstart\n").expect("it starts");
+    let typed = below.lines().filter_map(|line| line.strip_prefix("#   "));
+    let typed = typed.filter(|line| !["loadusr halshow", "exit"].contains(line));
+    // Every exchange is a period of the board's time: on a busy computer the answer is waited for.
+    let patience = "setp ferrocnc.0.packet-read-timeout 2000000000";
+    let counts: Vec<String> = board
+        .of(Class::Stepgen)
+        .iter()
+        .map(|it| format!("getp ferrocnc.0.stepgen.{}.counts", it.name))
+        .collect();
+    let mut hal = format!(
+        "{file}\n{patience}\nloadusr -w sleep 1\n{}\n",
+        counts.join("\n")
+    );
+    for line in typed {
+        hal += &format!("{line}\n");
+        // What is asked for next needs a moment of the board's.
+        if line.ends_with(".enable 1") || line.ends_with(".enable-request 1") {
+            hal += "loadusr -w sleep 0.5\n";
+        }
+    }
+    let said = halrun("first-light", &hal);
+    twin.finish();
+    let answers: Vec<&str> = said
+        .lines()
+        .filter(|line| ["TRUE", "FALSE"].contains(line) || line.parse::<f64>().is_ok())
+        .collect();
+    let [stepgens, encoders, pwms, inputs] =
+        [Class::Stepgen, Class::Encoder, Class::Pwm, Class::Input]
+            .map(|class| board.of(class).len());
+    let (before, answers) = answers.split_at(stepgens);
+    assert!(
+        before.iter().all(|it| *it == "0"),
+        "moved by itself: {said}"
+    );
+    let (_looks, answers) = answers.split_at(inputs + encoders);
+    let (armed, answers) = answers.split_at(1);
+    assert_eq!(armed, ["TRUE"], "{said}");
+    let (moved, duties) = answers.split_at(stepgens);
+    for (n, counts) in moved.iter().enumerate() {
+        let counts: i64 = counts.parse().expect("counts");
+        assert!(counts > 0, "step generator {n}: {said}");
+        // The answer is of a moment when it still ran; then it ran on to its stop.
+        assert!(pulses(&report)[n] >= counts, "step generator {n}: {said}");
+    }
+    let expected = vec!["0.1"; pwms];
+    assert_eq!(duties, expected, "{said}");
 }
 
 #[test]

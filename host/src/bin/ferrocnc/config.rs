@@ -11,7 +11,9 @@ use ferrocnc_config::new::{Wanted, layout};
 use ferrocnc_config::peers;
 use ferrocnc_config::pinout::{self, Pinout};
 use ferrocnc_config::source::{Folder, read_text};
-use ferrocnc_config::{Board, Error, Platform, export, read_board, schema, show, write};
+use ferrocnc_config::{
+    Board, Error, Platform, export, first_light, read_board, schema, show, write,
+};
 use serde_json::{Value, json};
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -80,6 +82,22 @@ pub(crate) enum ConfigCommand {
         file: PathBuf,
         /// The file to write; NAME.ini or NAME.json in the current folder if not given.
         #[arg(long, short, value_name = "FILE")]
+        output: Option<PathBuf>,
+        /// Overwrite it.
+        #[arg(long)]
+        force: bool,
+    },
+    /// Write a HAL file for the first look at a board: it loads the driver, arms nothing, and says
+    /// what to type to see every channel work.
+    FirstLight {
+        /// A board file.
+        #[arg(value_name = "BOARD.toml")]
+        file: PathBuf,
+        /// The board's address, as `boards=` of the driver has it; the board file's if not given.
+        #[arg(long, value_name = "ADDRESS")]
+        at: Option<String>,
+        /// The file to write; NAME-first-light.hal in the current folder if not given.
+        #[arg(long, short, value_name = "FILE.hal")]
         output: Option<PathBuf>,
         /// Overwrite it.
         #[arg(long)]
@@ -178,6 +196,19 @@ pub(crate) fn run(command: &ConfigCommand, as_json: bool) -> Result<()> {
             output,
             force,
         } => export_to(*to, file, output.as_deref(), *force),
+        ConfigCommand::FirstLight {
+            file,
+            at,
+            output,
+            force,
+        } => {
+            let board = read_board(file)?;
+            let to = output
+                .clone()
+                .unwrap_or_else(|| first_light::file_name(&board).into());
+            consent::may_write(&to, *force)?;
+            save(&to, &first_light::first_light(&board, at.as_deref()))
+        }
         ConfigCommand::Schema { platform } => {
             let schema = if *platform {
                 schema::platform()
