@@ -100,23 +100,12 @@ impl Server {
         }
         let stepgens = STATUS_STEPGEN * self.shape.stepgens;
         let encoders = STATUS_ENCODER * self.shape.encoders;
-        for (first, count) in [
-            (status::STEPGEN0_POSITION_LO, stepgens),
-            (status::ENCODER0_COUNT, encoders),
-        ] {
-            let (mut word, end) = (first, first + count);
-            while word + FOUR <= end
-                && let Some(four) = reply.room::<FOUR>()
-            {
-                *four = [
-                    board.latched(word),
-                    board.latched(word + 1),
-                    board.latched(word + 2),
-                    board.latched(word + 3),
-                ];
-                word += FOUR;
-            }
-            reply.append((word..end).map(|word| board.latched(word)));
+        if let Some((of_stepgens, of_encoders)) = reply
+            .places(stepgens + encoders)
+            .and_then(|places| places.split_at_mut_checked(stepgens))
+        {
+            copy(board, status::STEPGEN0_POSITION_LO, of_stepgens);
+            copy(board, status::ENCODER0_COUNT, of_encoders);
         }
         self.exchanged(head.flags);
         Ok(())
@@ -144,36 +133,15 @@ impl Server {
             self.commit_pending = false;
         }
         // The registers have the order of the block, but for the channels that this board lacks.
+        let Some((head, channels)) = block.split_at_checked(COMMAND_HEAD) else {
+            return; // `Head::of` found them
+        };
+        let common = head.get(command_word::ENABLES..).unwrap_or(&[]);
         let stepgens = COMMAND_STEPGEN * self.shape.stepgens;
-        let runs = [
-            (
-                command::ENABLES,
-                command_word::ENABLES,
-                COMMAND_HEAD - command_word::ENABLES,
-            ),
-            (command::STEPGEN0_VELOCITY, COMMAND_HEAD, stepgens),
-            (
-                command::PWM0_WIDTH,
-                COMMAND_HEAD + stepgens,
-                self.shape.pwms,
-            ),
-        ];
-        for (register, at, count) in runs {
-            let words = block.get(at..at + count).unwrap_or(&[]);
-            let (fours, rest) = words.as_chunks::<FOUR>();
-            let mut at = register;
-            for four in fours {
-                let [a, b, c, d] = *four;
-                board.stage(at, a);
-                board.stage(at + 1, b);
-                board.stage(at + 2, c);
-                board.stage(at + 3, d);
-                at += FOUR;
-            }
-            for (register, word) in (at..).zip(rest) {
-                board.stage(register, *word);
-            }
-        }
+        let (stepgens, pwms) = channels.split_at_checked(stepgens).unwrap_or_default();
+        stage(board, command::ENABLES, common);
+        stage(board, command::STEPGEN0_VELOCITY, stepgens);
+        stage(board, command::PWM0_WIDTH, pwms);
     }
 
     /// Makes the staged command take effect and samples every channel; returns the gate after that.
@@ -265,6 +233,42 @@ impl Server {
             Some(_) | None => board.strobe(timebase::STROBE_SAMPLE),
         }
         Ok(board.gate())
+    }
+}
+
+/// Stages words in registers that follow one another.
+#[inline(never)]
+fn stage<B: Board>(board: &mut B, mut register: usize, words: &[u32]) {
+    let (fours, rest) = words.as_chunks::<FOUR>();
+    for [a, b, c, d] in fours {
+        board.stage(register, *a);
+        board.stage(register + 1, *b);
+        board.stage(register + 2, *c);
+        board.stage(register + 3, *d);
+        register += FOUR;
+    }
+    for word in rest {
+        board.stage(register, *word);
+        register += 1;
+    }
+}
+
+/// Copies sampled words that follow one another.
+#[inline(never)]
+fn copy<B: Board>(board: &mut B, mut word: usize, places: &mut [u32]) {
+    let (fours, rest) = places.as_chunks_mut::<FOUR>();
+    for four in fours {
+        *four = [
+            board.latched(word),
+            board.latched(word + 1),
+            board.latched(word + 2),
+            board.latched(word + 3),
+        ];
+        word += FOUR;
+    }
+    for place in rest {
+        *place = board.latched(word);
+        word += 1;
     }
 }
 

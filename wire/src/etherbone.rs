@@ -243,27 +243,25 @@ impl<'b> ReplyWriter<'b> {
 
     /// Appends words.
     pub fn extend(&mut self, words: &[u32]) -> bool {
-        self.append(words.iter().copied())
+        let Some(places) = self.places(words.len()) else {
+            return false;
+        };
+        for (place, word) in places.iter_mut().zip(words) {
+            *place = *word;
+        }
+        true
     }
 
     /// Appends so many words, to be written by the caller.
     pub fn room<const N: usize>(&mut self) -> Option<&mut [u32; N]> {
-        let room = self.buffer.get_mut(self.used..)?.first_chunk_mut()?;
-        self.used += N;
-        Some(room)
+        self.places(N)?.first_chunk_mut()
     }
 
-    /// Appends the words of an iterator of known length.
-    pub fn append(&mut self, words: impl ExactSizeIterator<Item = u32>) -> bool {
-        let count = words.len();
-        let Some(room) = self.buffer.get_mut(self.used..self.used + count) else {
-            return false;
-        };
-        for (place, word) in room.iter_mut().zip(words) {
-            *place = word;
-        }
+    /// The same for a number that is only known at run time.
+    pub fn places(&mut self, count: usize) -> Option<&mut [u32]> {
+        let places = self.buffer.get_mut(self.used..)?.get_mut(..count)?;
         self.used += count;
-        true
+        Some(places)
     }
 
     /// Opens a record that carries `count` words for `base`; push exactly that many afterwards.
