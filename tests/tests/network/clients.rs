@@ -116,8 +116,9 @@ fn the_tool(host: &Place) {
 }
 
 /// `ferrocnc discover` behind a firewall that lets no broadcast out, and behind one that lets none
-/// in: the name's way is left. Where that is shut, too, the tool finds nothing.
-fn discovered_by_its_name(host: &Place, board: &str) {
+/// in: the name's way is left. Where that is shut, too, the tool finds nothing. It listens for so
+/// many milliseconds.
+fn discovered_by_its_name(host: &Place, board: &str, wait: &str) {
     let firewall = |rule: &str| {
         let mut iptables = host.command("iptables");
         iptables.args(rule.split(' '));
@@ -126,7 +127,7 @@ fn discovered_by_its_name(host: &Place, board: &str) {
     };
     for chain in ["OUTPUT", "INPUT"] {
         firewall(&format!("-A {chain} -p udp -d 255.255.255.255 -j DROP"));
-        let found = tool(host, &["discover"]);
+        let found = tool(host, &["discover", "--wait", wait]);
         let here = &found["boards"][0];
         assert_eq!(here["uid"], uid_text(), "{chain}: {found}");
         assert_eq!((&here["ip"], &here["name"]), (&json!(board), &json!(NAME)));
@@ -134,7 +135,8 @@ fn discovered_by_its_name(host: &Place, board: &str) {
     }
     firewall("-A INPUT -p udp --sport 5353 -j DROP");
     firewall("-D OUTPUT 1");
-    assert_eq!(tool(host, &["discover"]), json!({ "boards": [] }));
+    let found = tool(host, &["discover", "--wait", wait]);
+    assert_eq!(found, json!({ "boards": [] }));
     firewall("-F INPUT");
 }
 
@@ -231,12 +233,15 @@ fn real_clients_are_served_by_the_ip_stack_of_the_twin() {
     all_clients(&folder, &host, &net, 1);
     telnet(&host, &net.board, "characters");
     the_tool(&host);
-    discovered_by_its_name(&host, &net.board);
+    discovered_by_its_name(&host, &net.board, "500");
 }
 
 /// Some 100 ms are a servo period of 1 kHz for the Verilated board. At 1 ms its CPU does nothing
 /// but exchanges, and no guest is served.
 const RTL_PERIOD_MS: u64 = 100;
+
+/// So long the tool listens there: mDNS lets a responder wait for 20 to 120 ms of its time.
+const RTL_LISTENS_MS: &str = "40000";
 
 /// What a client says to a server, and hears, to have its first lease.
 const BEGINS: [&str; 4] = ["DHCPDISCOVER", "DHCPOFFER", "DHCPREQUEST", "DHCPACK"];
@@ -296,6 +301,8 @@ fn the_verilated_board_renews_its_lease_beside_a_console_and_the_tool() {
     // The board has its name 2 s after power-up: it asks first whether another one has it.
     the_tool(&host);
     done("describe by the name");
+    discovered_by_its_name(&host, &board, RTL_LISTENS_MS);
+    done("discover by the name");
     let all = kinds(&said);
     assert!(all.starts_with(&BEGINS), "{said}");
     for renewal in all[BEGINS.len()..].chunks_exact(2) {
