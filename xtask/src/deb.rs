@@ -10,6 +10,8 @@ mod images;
 mod install;
 mod manual;
 
+pub use images::sums;
+
 use crate::{root, setup, step, target};
 use anyhow::{Context, Result, bail};
 use std::fs;
@@ -29,6 +31,9 @@ struct Package {
 /// own: it is built without the tool's features, and cargo gives both libraries one name.
 const TOOLS: &str = "deb/tools";
 const MODULE: &str = "deb/module";
+
+/// Where our sources are, if the programs are asked.
+pub const SOURCES: &str = "/usr/src/ferrocnc";
 
 /// All of them; the last one only if there are images.
 const PACKAGES: [Package; 4] = [
@@ -128,7 +133,7 @@ fn release(command: &mut Command) -> Result<()> {
     // The standard library's own paths begin so, unless its sources are installed.
     let standard = format!("/rustc/{}", commit.unwrap_or("unknown"));
     let flags = [
-        (root().to_owned(), "/usr/src/ferrocnc"),
+        (root().to_owned(), SOURCES),
         (cargo_home(), "/usr/src/cargo"),
         (sources, &standard),
     ];
@@ -231,7 +236,7 @@ fn pack(folder: &str) -> Result<Vec<PathBuf>> {
 }
 
 /// When the commit was made: the time of every file in a package.
-fn time_of_the_commit() -> Result<String> {
+pub fn time_of_the_commit() -> Result<String> {
     if let Ok(said) = std::env::var("SOURCE_DATE_EPOCH") {
         return Ok(said);
     }

@@ -18,6 +18,7 @@ mod netlist;
 mod passes;
 mod python;
 mod regen;
+mod release;
 mod setup;
 mod slowest;
 mod step;
@@ -57,6 +58,8 @@ enum Task {
     Netlist(netlist::Options),
     /// Make the Debian packages: tool, LinuxCNC driver, simulator, and the images that are built.
     Deb,
+    /// Make a release: packages, images, bills of materials, notes and sums in one folder.
+    Release(release::Options),
     /// Measure something and print the figures.
     Bench(bench::Options),
     /// Build the documentation site into target/book, after a check of all links.
@@ -87,6 +90,7 @@ fn main() -> std::process::ExitCode {
         Task::Bitstream(options) => bitstream::run(&options),
         Task::Netlist(options) => netlist::run(&options),
         Task::Deb => deb::run(),
+        Task::Release(options) => release::run(&options),
         Task::Bench(options) => bench::run(&options),
         Task::Docs => docs::run(),
         Task::Figures(options) => figures::run(&options),

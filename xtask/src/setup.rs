@@ -333,6 +333,12 @@ pub fn cargo_deb() -> Result<PathBuf> {
     tool_with("cargo-deb", "3.8.0", &["--version"], &["--debug"])
 }
 
+/// cargo-cyclonedx, pinned. It runs for seconds, so it is built without optimisation.
+pub fn cargo_cyclonedx() -> Result<PathBuf> {
+    let ask = ["cyclonedx", "--version"];
+    tool_with("cargo-cyclonedx", "0.5.9", &ask, &["--debug"])
+}
+
 /// cargo-mutants, pinned: survivors are known by its wording.
 pub fn cargo_mutants() -> Result<PathBuf> {
     tool("cargo-mutants", "27.1.0", &["mutants", "--version"])

@@ -65,7 +65,7 @@ pub fn gather(from: &Path, to: &Path) -> Result<Gathered> {
 }
 
 /// `sha256sum` of every file, by its name below the folder.
-fn sums(folder: &Path) -> Result<String> {
+pub fn sums(folder: &Path) -> Result<String> {
     let mut sum = Command::new("sha256sum");
     sum.current_dir(folder).args(tree::files(folder)?);
     setup::output(&mut sum).context("sha256sum failed")
