@@ -241,6 +241,22 @@ fn prose_is_narrow() {
 }
 
 #[test]
+fn no_file_has_the_marks_of_a_merge() {
+    let marks = ["<", ">"].map(|mark| mark.repeat(7) + " ");
+    let mut wrong = Vec::new();
+    for file in tree::files(root()).unwrap() {
+        // What is no text has no lines.
+        let Ok(text) = fs::read_to_string(root().join(&file)) else {
+            continue;
+        };
+        let lines = text.lines().enumerate();
+        let marked = lines.filter(|(_, line)| marks.iter().any(|mark| line.starts_with(mark)));
+        wrong.extend(marked.map(|(n, _)| format!("{}:{}", file.display(), n + 1)));
+    }
+    assert_eq!(wrong, Vec::<String>::new());
+}
+
+#[test]
 fn every_file_that_contributing_names_is_there() {
     let text = read(&root().join("CONTRIBUTING.md"));
     let mut named = 0;
