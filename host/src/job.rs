@@ -4,7 +4,7 @@
 //! [`program`] reads and writes them, [`svg`] makes one of a drawing, [`machine`] describes the
 //! machine, [`trace`] executes a job with the planner and the integer model of the board,
 //! [`preview`] draws the result; [`client`] talks to boards, [`stream`] executes jobs for a board
-//! without SDRAM; [`fonts`] finds the fonts. Docs: `docs/jobs.md`.
+//! without SDRAM; [`words`] reads FPGA G's words; [`fonts`] finds the fonts. Docs: `docs/jobs.md`.
 
 pub mod client;
 #[cfg(feature = "drawing")]
@@ -19,3 +19,4 @@ pub mod stream;
 #[cfg(feature = "drawing")]
 pub mod svg;
 pub mod trace;
+pub mod words;

@@ -10,3 +10,4 @@ mod rig;
 mod streamed;
 mod strikes;
 mod tool;
+mod words;

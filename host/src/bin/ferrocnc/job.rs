@@ -3,6 +3,8 @@
 
 mod board;
 
+pub(crate) use board::tell;
+
 use crate::consent;
 use crate::progress::Bar;
 use anyhow::{Context, Result, anyhow, bail};
@@ -389,6 +391,6 @@ fn save(file: &Path, bytes: &[u8], force: bool) -> Result<()> {
         .map_err(|error| anyhow!("{}: cannot be written ({error})", file.display()))
 }
 
-fn say(text: &str) -> Result<()> {
+pub(crate) fn say(text: &str) -> Result<()> {
     Ok(std::io::stdout().lock().write_all(text.as_bytes())?)
 }

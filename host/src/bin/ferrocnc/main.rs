@@ -27,6 +27,7 @@ mod set;
 mod text;
 mod update;
 mod watch;
+mod words;
 
 use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
@@ -60,6 +61,9 @@ enum ToolCommand {
     /// executes them by itself.
     #[command(subcommand)]
     Job(job::JobToolCommand),
+    /// FPGA G's words: STATUS, START, STOP and GCODE, from a file or from the keyboard, with the
+    /// bits of the status by name.
+    Words(words::WordsArguments),
     /// What the board is: versions, channels and their names, clock, state.
     Describe {
         /// IP[:port] of the board.
@@ -150,6 +154,7 @@ fn main() -> ExitCode {
 
 fn run(arguments: &Arguments) -> Result<()> {
     let json = arguments.json;
+        ToolCommand::Words(arguments) => words::run(arguments, json),
     // Set once, used by every command that opens a board.
     let _ = KEY.set(Keys::named(arguments.key.as_deref()));
     match &arguments.command {
