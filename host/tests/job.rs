@@ -243,6 +243,23 @@ fn the_pen_may_be_z() {
 }
 
 #[test]
+fn a_fill_is_hatched_on_request_and_a_wrong_hatch_is_told() {
+    let folder = folder("hatch");
+    std::fs::write(folder.join("d.svg"), r#"<svg xmlns="http://www.w3.org/2000/svg" width="100mm" height="100mm" viewBox="0 0 100 100"><rect x="10" y="10" width="50" height="20"/></svg>"#).unwrap();
+    let outline = json(&folder, "prepare d.svg -o d.job");
+    let hatched = json(&folder, "prepare d.svg -o h.job --hatch 2:90");
+    // 25 lines of 20 mm.
+    assert_eq!(outline["strokes"], 1);
+    assert_eq!(hatched["strokes"], 26);
+    let drawn = hatched["drawn_mm"].as_f64().unwrap() - outline["drawn_mm"].as_f64().unwrap();
+    assert!((drawn - 500.0).abs() < 0.1, "{drawn}");
+    for wrong in ["0", "1:north", "1:"] {
+        let said = complaint(&folder, &format!("prepare d.svg -o w.job --hatch {wrong}"));
+        assert!(said.contains("from 0.05 to 1000 mm"), "{said}");
+    }
+}
+
+#[test]
 fn text_is_drawn_as_its_outlines() {
     let folder = folder("text");
     std::fs::write(folder.join("t.svg"), r#"<svg xmlns="http://www.w3.org/2000/svg" width="100" height="50"><text x="5" y="40" font-family="DejaVu Sans" font-size="40">oi</text></svg>"#).unwrap();

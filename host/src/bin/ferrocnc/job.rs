@@ -12,7 +12,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use ferrocnc::job::machine::MachineFile;
 use ferrocnc::job::preview::{self, duration};
 use ferrocnc::job::program::{Dialect, Program, ending};
-use ferrocnc::job::svg::{self, Tool, Wish};
+use ferrocnc::job::svg::{self, Hatch, Tool, Wish};
 use ferrocnc::job::trace::{self, Trace};
 use jobs::gcode::DwellUnit;
 use jobs::instruction::Feed;
@@ -127,6 +127,10 @@ pub(crate) struct Prepare {
     /// at -0.5 mm).
     #[arg(long, default_value = "m3", value_name = "m3|z:UP,DOWN", value_parser = tool, allow_hyphen_values = true)]
     tool: Tool,
+    /// Hatch what a drawing fills: mm from line to line, and their direction in degrees,
+    /// counterclockwise from X; 45 if not given. White is not hatched.
+    #[arg(long, value_name = "MM[:ANGLE]", value_parser = hatch)]
+    hatch: Option<Hatch>,
     /// Keep the drawing's own order, even if the travel moves are long.
     #[arg(long)]
     keep_order: bool,
@@ -160,6 +164,21 @@ fn tolerance(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(mm) if (0.001..=10.0).contains(&mm) => Ok(mm),
         _ => Err("from 0.001 to 10 mm".to_owned()),
+    }
+}
+
+fn hatch(text: &str) -> Result<Hatch, String> {
+    let (spacing, angle) = text.split_once(':').unwrap_or((text, "45"));
+    match (spacing.parse::<f64>(), angle.parse::<f64>()) {
+        (Ok(spacing), Ok(angle))
+            if (0.05..=1000.0).contains(&spacing) && (-360.0..=360.0).contains(&angle) =>
+        {
+            Ok(Hatch { spacing, angle })
+        }
+        _ => Err(
+            "MM or MM:ANGLE, from 0.05 to 1000 mm and from -360 to 360 degrees, as 0.8:45"
+                .to_owned(),
+        ),
     }
 }
 
@@ -274,6 +293,7 @@ fn prepare(prepare: &Prepare, as_json: bool) -> Result<()> {
             tolerance: prepare.tolerance,
             feed: prepare.feed,
             tool: prepare.tool,
+            hatch: prepare.hatch,
             order: !prepare.keep_order,
             fonts: prepare.font.clone(),
         };
