@@ -6,6 +6,7 @@
 mod clients;
 mod drawings;
 mod guide;
+mod pen;
 mod rig;
 mod streamed;
 mod strikes;
