@@ -87,13 +87,8 @@ enum ToolCommand {
         /// IP[:port] of the board.
         #[arg(value_name = "ADDR")]
         address: String,
-        /// The firmware's ELF file: it holds the texts.
-        #[arg(
-            long,
-            value_name = "FILE",
-            default_value = "target/firmware/ferrocnc-firmware.elf"
-        )]
-        elf: std::path::PathBuf,
+        #[command(flatten)]
+        texts: log::Texts,
         /// Keep showing what is added.
         #[arg(long, short)]
         follow: bool,
@@ -154,12 +149,12 @@ fn main() -> ExitCode {
 
 fn run(arguments: &Arguments) -> Result<()> {
     let json = arguments.json;
-        ToolCommand::Words(arguments) => words::run(arguments, json),
     // Set once, used by every command that opens a board.
     let _ = KEY.set(Keys::named(arguments.key.as_deref()));
     match &arguments.command {
         ToolCommand::Config(command) => config::run(command, json),
         ToolCommand::Job(command) => job::run(command, json),
+        ToolCommand::Words(arguments) => words::run(arguments, json),
         ToolCommand::Describe { address } => describe::run(&mut open(address)?, json),
         ToolCommand::Watch {
             address,
@@ -168,9 +163,9 @@ fn run(arguments: &Arguments) -> Result<()> {
         } => watch::run(&mut open(address)?, *once, *interval, json),
         ToolCommand::Log {
             address,
-            elf,
+            texts,
             follow,
-        } => log::run(&mut open(address)?, elf, *follow, json),
+        } => log::run(&mut open(address)?, texts, *follow, json),
         ToolCommand::Discover(arguments) => discover::run(arguments, json),
         ToolCommand::Set(arguments) => set::run(arguments, json),
         ToolCommand::Selftest(arguments) => selftest::run(arguments, json),
