@@ -4,7 +4,8 @@
 //! [`program`] reads and writes them, [`svg`] makes one of a drawing, [`machine`] describes the
 //! machine, [`trace`] executes a job with the planner and the integer model of the board,
 //! [`preview`] draws the result; [`client`] talks to boards, [`stream`] executes jobs for a board
-//! without SDRAM; [`fonts`] finds the fonts. Docs: `docs/jobs.md`.
+//! without SDRAM; [`words`] reads FPGA G's words; [`pen`] makes a pen of Z; [`fonts`] finds the
+//! fonts. Docs: `docs/jobs.md`.
 
 pub mod client;
 #[cfg(feature = "drawing")]
@@ -12,6 +13,7 @@ pub mod fonts;
 pub mod machine;
 #[cfg(feature = "drawing")]
 mod order;
+pub mod pen;
 #[cfg(feature = "drawing")]
 pub mod preview;
 pub mod program;
@@ -19,3 +21,4 @@ pub mod stream;
 #[cfg(feature = "drawing")]
 pub mod svg;
 pub mod trace;
+pub mod words;

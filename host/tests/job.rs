@@ -243,6 +243,79 @@ fn the_pen_may_be_z() {
 }
 
 #[test]
+fn a_fill_is_hatched_on_request_and_a_wrong_hatch_is_told() {
+    let folder = folder("hatch");
+    std::fs::write(folder.join("d.svg"), r#"<svg xmlns="http://www.w3.org/2000/svg" width="100mm" height="100mm" viewBox="0 0 100 100"><rect x="10" y="10" width="50" height="20"/></svg>"#).unwrap();
+    let outline = json(&folder, "prepare d.svg -o d.job");
+    let hatched = json(&folder, "prepare d.svg -o h.job --hatch 2:90");
+    // 25 lines of 20 mm.
+    assert_eq!(outline["strokes"], 1);
+    assert_eq!(hatched["strokes"], 26);
+    let drawn = hatched["drawn_mm"].as_f64().unwrap() - outline["drawn_mm"].as_f64().unwrap();
+    assert!((drawn - 500.0).abs() < 0.1, "{drawn}");
+    for wrong in ["0", "1:north", "1:"] {
+        let said = complaint(&folder, &format!("prepare d.svg -o w.job --hatch {wrong}"));
+        assert!(said.contains("from 0.05 to 1000 mm"), "{said}");
+    }
+}
+
+/// A file of a plugin that moves its pen with Z, in a folder of the test.
+fn plugin(name: &str, file: &str) -> PathBuf {
+    let folder = folder(name);
+    let programs = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/programs");
+    std::fs::copy(programs.join(file), folder.join(file)).unwrap();
+    folder
+}
+
+#[test]
+fn the_pen_of_a_gcodetools_file_is_its_z_and_the_height_is_found_and_said() {
+    let folder = plugin("gcodetools", "gcodetools.ngc");
+    let said = answer(&folder, "prepare gcodetools.ngc -o a.job --pen z");
+    let height = "note: the pen is Z: up at 5 mm, down at -1 mm, divided at 2 mm";
+    assert!(said.contains(height), "{said}");
+    let prepared = json(&folder, "prepare gcodetools.ngc -o b.job --pen z:-0.5");
+    assert_eq!(prepared["notes"], serde_json::json!([]));
+    assert_eq!(prepared["lowest_mm"][2].as_f64(), Some(0.0));
+    assert_eq!(
+        std::fs::read(folder.join("a.job")).unwrap(),
+        std::fs::read(folder.join("b.job")).unwrap()
+    );
+    // As it is, the board would move Z; the note says how to make a pen of it.
+    let said = answer(&folder, "prepare gcodetools.ngc -o c.job");
+    assert!(said.contains("for a plotter's pen: --pen z"), "{said}");
+    let kept = json(&folder, "prepare gcodetools.ngc -o d.job --pen m3");
+    assert_eq!(kept["notes"], serde_json::json!([]));
+    assert_eq!(kept["highest_mm"][2].as_f64(), Some(5.0));
+}
+
+#[test]
+fn a_gcodetools_file_is_written_as_xypenplotters_binary_as_it_is() {
+    let folder = plugin("gcodetools-bin", "gcodetools.ngc");
+    let said = answer(&folder, "prepare gcodetools.ngc -o x.bin");
+    assert!(said.contains("note: the pen is Z: up at 5 mm"), "{said}");
+    answer(&folder, "prepare gcodetools.ngc -o x.job --pen z");
+    let binary = json(&folder, "check x.bin --bin-feed 400");
+    let job = json(&folder, "check x.job");
+    for key in ["drawn_mm", "travelled_mm"] {
+        let [there, here] = [&binary, &job].map(|facts| facts[key].as_f64().unwrap());
+        assert!((there - here).abs() < 1e-3, "{key}: {there} {here}");
+    }
+}
+
+#[test]
+fn a_pen_that_cannot_be_found_or_is_none_is_told() {
+    let folder = folder("no-pen");
+    std::fs::write(folder.join("p.ngc"), "G1 X1 Y1 F600\nM2\n").unwrap();
+    std::fs::write(folder.join("d.svg"), DRAWING).unwrap();
+    let said = complaint(&folder, "prepare p.ngc -o p.job --pen z");
+    assert!(said.contains("p.ngc: the file does not show at which Z the pen is down: name the height, --pen z:HEIGHT"), "{said}");
+    let said = complaint(&folder, "prepare p.ngc -o p.job --pen y");
+    assert!(said.contains("m3, z, or z:HEIGHT in mm"), "{said}");
+    let said = complaint(&folder, "prepare d.svg -o d.job --pen z");
+    assert!(said.contains("a drawing's pen is --tool"), "{said}");
+}
+
+#[test]
 fn text_is_drawn_as_its_outlines() {
     let folder = folder("text");
     std::fs::write(folder.join("t.svg"), r#"<svg xmlns="http://www.w3.org/2000/svg" width="100" height="50"><text x="5" y="40" font-family="DejaVu Sans" font-size="40">oi</text></svg>"#).unwrap();

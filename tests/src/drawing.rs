@@ -43,6 +43,7 @@ pub fn program(tolerance: f64) -> Program {
         tolerance,
         feed: FEED,
         tool: Tool::Output,
+        hatch: None,
         order: true,
         fonts: Vec::new(),
     };

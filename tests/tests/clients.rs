@@ -1,6 +1,6 @@
 //! Other projects' programs against the board: ping, a console session, LiteX's RemoteClient.
 
-use ferrocnc_tests::flash::{UID, followed_by};
+use ferrocnc_tests::flash::{FIRST, SECOND, UID, factory, followed_by};
 use ferrocnc_tests::hal::out;
 use ferrocnc_tests::services::small;
 use ferrocnc_tests::{BenchMachine, Simulator, wired};
@@ -13,6 +13,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 use wire::describe::JobsState;
+use wire::images::{Role, Trailer};
 
 #[test]
 fn a_ping_is_answered() {
@@ -143,6 +144,44 @@ fn litex_remote_client_reads_the_identifier_and_a_status_word() {
     let found: serde_json::Value = serde_json::from_str(found).expect("JSON");
     let identifier = found["identifier"].as_str().unwrap_or_default();
     assert!(identifier.contains("FerroCNC"), "identifier {identifier:?}");
+}
+
+/// The ELF of the firmware as packing leaves it beside an image of this build.
+fn elf_of(build_id: u32, file: &Path) {
+    let role = Role::Image;
+    let trailer = Trailer { build_id, role }.to_words();
+    let mut bytes = std::fs::read(ferrocnc_tests::parts().1).expect("the firmware's ELF");
+    bytes.extend(trailer.iter().flat_map(|word| word.to_le_bytes()));
+    std::fs::create_dir_all(file.parent().expect("a folder")).expect("a folder");
+    std::fs::write(file, bytes).expect("a file");
+}
+
+#[test]
+fn the_log_is_read_with_the_elf_of_the_running_build_and_no_other() {
+    let folder = out("elf");
+    let flash = folder.join("flash.bin");
+    let nor = factory(Part::W25Q32JV, UID);
+    std::fs::write(&flash, nor.cells()).expect("the chip's cells");
+    elf_of(FIRST, &folder.join("images/first/first.elf"));
+    elf_of(SECOND, &folder.join("images/second/second.elf"));
+    let flash = flash.display().to_string();
+    let twin = Simulator::twin(&["--mode", "free", "--flash", &flash]);
+    let log = |arguments: &[&str]| -> (bool, String) {
+        let mut tool = Command::new(ferrocnc_tests::program("ferrocnc"));
+        tool.current_dir(&folder)
+            .args(["log", &twin.udp().to_string()]);
+        let output = tool.args(arguments).output().expect("the tool runs");
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        (output.status.success(), said)
+    };
+    let (ok, said) = log(&["--elf-dir", "images"]);
+    assert!(ok && !said.contains("build"), "{said}");
+    let (ok, said) = log(&["--elf", "images/second/second.elf"]);
+    let both = "second.elf is the firmware of build bbbb0002, but the board runs build aaaa0001";
+    assert!(!ok && said.contains(both), "{said}");
+    let (ok, said) = log(&["--elf-dir", "images/second"]);
+    let none = "the board runs build aaaa0001, and no ELF of this build is in images/second, ";
+    assert!(!ok && said.contains(none), "{said}");
 }
 
 #[test]

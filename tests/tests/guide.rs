@@ -91,7 +91,8 @@ fn line(page: &str, begins: &str) -> String {
     found.swap_remove(0)
 }
 
-const PAGES: [&str; 5] = [
+const PAGES: [&str; 6] = [
+    "breakout.md",
     "first-machine.md",
     "jobs.md",
     "plotter.md",

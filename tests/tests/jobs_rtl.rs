@@ -13,6 +13,7 @@ use ferrocnc_tests::wired::Wired;
 use host::job::client::JobError;
 use host::job::machine::{Direction, Home, Level, MachineFile};
 use host::job::program::{Dialect, Program};
+use host::job::words::WordsLine;
 use rand::Rng;
 use sim::plant::Switch;
 use std::sync::{LazyLock, Mutex, MutexGuard};
@@ -385,6 +386,36 @@ fn stop_comes_to_rest_on_the_path_and_the_next_job_goes_on_from_there() {
     assert!(report.known, "{report:?}");
     let [x, y, _] = report.steps;
     assert!(x > 400 && (x - 2 * y).abs() <= 2, "{x} {y} is off the line");
+    goes_on(&mut wired);
+}
+
+#[test]
+#[ignore = "named: cargo xtask test plotter"]
+fn words_of_fpga_g_move_a_motor_to_the_step_and_switch_the_pen() {
+    // 180 steps with X and the pen down, 100 back with the pen up.
+    let text = "GCODE 0x01600001 0x01f40028 0x006401f4 0x00280000\nSTART\nSTATUS\nGCODE 0x01610000 0x01f40014 0x003c01f4 0x00140000\n";
+    let lines = WordsLine::all(text).unwrap_or_else(|error| panic!("{error}"));
+    let mut wired = board();
+    goes_on(&mut wired);
+    let began = began(&mut wired);
+    for line in &lines {
+        let status = wired.with(|board| board.words(line.command.code(), line.form, &line.words));
+        assert_eq!(status.unwrap_or_else(|error| panic!("{error}")), 0);
+    }
+    let there = began.told[0] + 80;
+    until(&mut wired, |report| {
+        report.stands && i64::from(report.steps[0]) == there && report.outputs & 1 == 0
+    });
+    command(&mut wired, JobCommand::Stop);
+    ended(&mut wired, End::Stopped, &began);
+    let path = path(&wired.events());
+    let pulses: Vec<bool> = [vec![true; 180], vec![false; 100]].concat();
+    assert_eq!(path.pulses[0], pulses);
+    assert_eq!(
+        path.switches,
+        [([0, 0, 0], true), ([180, 0, 0], false)],
+        "the pen"
+    );
     goes_on(&mut wired);
 }
 

@@ -5,7 +5,8 @@
 use crate::{build, python, root, setup, step, target};
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use wire::images::{Role, Trailer};
 
 /// What `--all` builds: Lcnc's eight configurations, and the two machines that demo and tests run.
 pub const ALL: [&str; 10] = [
@@ -140,7 +141,7 @@ fn images(boards: &[PathBuf], more: &[String]) -> Result<String> {
     build.env("FERROCNC_ROUTER", router);
     build.arg("--board").args(boards);
     build.arg("--out").arg(target("bitstream"));
-    build.arg("--firmware").arg(image);
+    build.arg("--firmware").arg(&image);
     build
         .arg("--json")
         .arg(target("reports/bitstream.json"))
@@ -149,7 +150,36 @@ fn images(boards: &[PathBuf], more: &[String]) -> Result<String> {
         [one] => format!("bitstream of {one}"),
         many => format!("bitstreams of {} configurations", many.len()),
     };
-    step::run_quietly("bitstream", &title, &estimate(&names), &mut build)
+    let printed = step::run_quietly("bitstream", &title, &estimate(&names), &mut build)?;
+    for name in &names {
+        leave_elf(&image, &folder(name), name)?;
+    }
+    Ok(printed)
+}
+
+/// Leaves the firmware's ELF beside an image, with the image's build id behind its end: `ferrocnc
+/// log` finds it by that. A configuration without images gets none.
+fn leave_elf(elf: &Path, folder: &Path, name: &str) -> Result<()> {
+    let file = folder.join(format!("{name}.bit"));
+    let Ok(image) = std::fs::read(&file) else {
+        return Ok(());
+    };
+    let says = || format!("{}: no build id in its header", file.display());
+    let build_id = build_id(&image).with_context(says)?;
+    let role = Role::Image;
+    let trailer = Trailer { build_id, role }.to_words();
+    let mut bytes = std::fs::read(elf).with_context(|| elf.display().to_string())?;
+    bytes.extend(trailer.iter().flat_map(|word| word.to_le_bytes()));
+    std::fs::write(folder.join(format!("{name}.elf")), bytes)?;
+    Ok(())
+}
+
+/// The build id in the header of an image: a line of text, between zeros.
+fn build_id(image: &[u8]) -> Option<u32> {
+    let header = &image[..image.len().min(16 * 1024)];
+    let mut lines = header.split(|byte| *byte == 0);
+    let build = lines.find_map(|line| line.strip_prefix(b"Build: "))?;
+    u32::from_str_radix(std::str::from_utf8(build).ok()?, 16).ok()
 }
 
 /// What the same boards took the last time, if they were ever built here.
@@ -179,4 +209,33 @@ fn summary(printed: &str) -> String {
         .map(|line| format!("  {line}"))
         .collect::<Vec<_>>()
         .join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_elf_beside_an_image_ends_with_the_build_id_of_its_header() {
+        let at = target("tmp/elf");
+        std::fs::create_dir_all(&at).unwrap();
+        std::fs::write(at.join("firmware"), b"\x7fELF").unwrap();
+        let header = b"\xff\0FerroCNC 0.1.0\0Board: a\0Build: 89abcdef\0Length: 1\0\xff\xff";
+        std::fs::write(at.join("a.bit"), header).unwrap();
+        leave_elf(&at.join("firmware"), &at, "a").unwrap();
+        // Without an image there is no ELF either.
+        leave_elf(&at.join("firmware"), &at, "b").unwrap();
+        let bytes = std::fs::read(at.join("a.elf")).unwrap();
+        assert!(!at.join("b.elf").exists());
+        std::fs::write(at.join("c.bit"), b"\xff\0Board: c\0\xff").unwrap();
+        let error = leave_elf(&at.join("firmware"), &at, "c").unwrap_err();
+        std::fs::remove_dir_all(&at).unwrap();
+        assert!(bytes.starts_with(b"\x7fELF"));
+        assert_eq!(bytes[4..12], *b"LRTF\xef\xcd\xab\x89");
+        assert!(
+            error
+                .to_string()
+                .ends_with("c.bit: no build id in its header")
+        );
+    }
 }

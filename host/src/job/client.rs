@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use wire::crc::crc32;
 use wire::jobs::{
     DATA, Entry, FRAME, Field, Frame, JobCommand, MachineConfig, NAME, Op, Report, Request, Status,
-    VERSION, Welcome, word,
+    VERSION, Welcome, Words, word,
 };
 use wire::{DEFAULT_PORT, Name};
 
@@ -511,6 +511,18 @@ impl Board {
     pub fn feed(&mut self, percent: u16) -> Result<Report, JobError> {
         let payload = self.ask(&Request::Feed { percent })?;
         Report::parse(&payload).ok_or_else(|| self.strange(Op::Feed))
+    }
+
+    /// A command of FPGA G's protocol, with the words of instructions in this form; the board's
+    /// status word.
+    pub fn words(&mut self, command: u8, form: u8, words: &[u32]) -> Result<u32, JobError> {
+        let bytes: Vec<[u8; 4]> = words.iter().map(|word| word.to_le_bytes()).collect();
+        let payload = self.ask(&Request::Segment {
+            command,
+            form,
+            words: Words::new(&bytes),
+        })?;
+        word(&payload).ok_or_else(|| self.strange(Op::Segment))
     }
 
     fn commanded(

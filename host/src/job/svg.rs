@@ -1,15 +1,26 @@
 //! Makes a program of a drawing: every visible path, text included, as lines within a tolerance, in
 //! an order with short travel.
 //!
-//! The outlines of what is filled are drawn like strokes; there is no hatching. Clips, masks and
-//! pictures are left out; a note says so.
+//! The outlines of what is filled are drawn like strokes, and hatched if it is wished. Dashes are
+//! drawn as dashes, and clip paths are applied. Masks and pictures are left out; a note says so.
+
+mod area;
+mod clip;
+mod lines;
+#[cfg(test)]
+mod tests;
+
+pub use area::Hatch;
 
 use crate::job::fonts;
 use crate::job::order::{self, Point, Tell, distance};
 use crate::job::program::Program;
+use area::{Within, cut};
+use clip::{Clip, affine};
 use jobs::instruction::{AUX_TOOL, Feed, Instruction, Place};
-use kurbo::PathEl;
-use resvg::tiny_skia::{Path as Outline, PathSegment};
+use kurbo::Affine;
+use lines::Frame;
+use resvg::tiny_skia::Path as Outline;
 use resvg::usvg::fontdb::Database;
 use resvg::usvg::{self, Group, ImageHrefResolver, ImageKind, Node, Tree, roxmltree};
 use std::path::PathBuf;
@@ -43,6 +54,8 @@ pub struct Wish {
     pub feed: f64,
     /// How to lift the tool.
     pub tool: Tool,
+    /// Hatch what is filled.
+    pub hatch: Option<Hatch>,
     /// Order the paths to travel less; otherwise as in the file.
     pub order: bool,
     /// Files with more fonts than the system has.
@@ -83,6 +96,8 @@ pub fn prepare(name: &str, text: &[u8], wish: &Wish, tell: Tell<'_>) -> Result<P
         fonts: tree.fontdb(),
         frame,
         tolerance: wish.tolerance,
+        hatch: wish.hatch,
+        clips: Vec::new(),
         strokes: Vec::new(),
         paths: 0,
         points: 0,
@@ -191,60 +206,15 @@ fn markers(xml: &roxmltree::Document<'_>) -> Result<(), String> {
 /// A PNG of one pixel, in place of every picture.
 const PIXEL: &[u8] = b"\x89\x50\x4e\x47\x0d\x0a\x1a\x0a\x00\x00\x00\x0d\x49\x48\x44\x52\x00\x00\x00\x01\x00\x00\x00\x01\x08\x00\x00\x00\x00\x3a\x7e\x9b\x55\x00\x00\x00\x0a\x49\x44\x41\x54\x78\x9c\x63\x60\x00\x00\x00\x02\x00\x01\x48\xaf\xa4\x71\x00\x00\x00\x00\x49\x45\x4e\x44\xae\x42\x60\x82";
 
-/// From the drawing's pixels to the machine's millimetres.
-#[derive(Clone, Copy, Debug)]
-struct Frame {
-    scale: f64,
-    left: f64,
-    top: f64,
-}
-
-impl Frame {
-    fn new(tree: &Tree, wish: &Wish) -> Result<Frame, String> {
-        // CSS: 96 pixels are an inch.
-        let pixel = 25.4 / 96.0;
-        let size =
-            [tree.size().width(), tree.size().height()].map(|pixels| f64::from(pixels) * pixel);
-        let Some(page) = wish.page else {
-            return Ok(Frame {
-                scale: pixel,
-                left: 0.0,
-                top: size[1],
-            });
-        };
-        let room = page.map(|length| length - 2.0 * wish.margin);
-        if !room.iter().all(|length| *length > 0.0) {
-            return Err("the margins leave no room on the page".to_owned());
-        }
-        let scale = (room[0] / size[0]).min(room[1] / size[1]);
-        if !(scale.is_finite() && scale > 0.0) {
-            return Err(format!(
-                "a drawing of {} x {} mm cannot be scaled to a page; correct its width, height or viewBox",
-                size[0], size[1]
-            ));
-        }
-        Ok(Frame {
-            scale: pixel * scale,
-            left: (page[0] - size[0] * scale) / 2.0,
-            top: (page[1] + size[1] * scale) / 2.0,
-        })
-    }
-
-    /// An SVG's Y points down, a machine's up.
-    fn place(&self, point: kurbo::Point) -> Point {
-        [
-            self.left + point.x * self.scale,
-            self.top - point.y * self.scale,
-        ]
-    }
-}
-
 struct Found<'a> {
     fonts: &'a Database,
     frame: Frame,
     tolerance: f64,
+    hatch: Option<Hatch>,
+    /// Those of the groups around, outermost first.
+    clips: Vec<Clip>,
     strokes: Vec<Vec<Point>>,
-    /// Paths seen, and points of the strokes made of them.
+    /// Paths seen; points of the strokes made of them, and of clips.
     paths: usize,
     points: usize,
     notes: Vec<String>,
@@ -258,16 +228,33 @@ impl Found<'_> {
     }
 
     fn group(&mut self, group: &Group) -> Result<(), String> {
-        if group.clip_path().is_some() || group.mask().is_some() {
-            self.note("clips and masks are not applied: what they hide is drawn");
+        if group.mask().is_some() {
+            self.note("masks are not applied: what they hide is drawn");
         }
+        let clips = self.clips.len();
+        if let Some(path) = group.clip_path() {
+            let clip = Clip::new(path, group.abs_transform(), self.frame, self.tolerance);
+            self.points += clip.edges();
+            if self.points > MOST_POINTS {
+                return Err(format!(
+                    "clip path {:?}: the drawing has more than {MOST_POINTS} lines up to here; clip fewer groups, or make the path simpler",
+                    path.id()
+                ));
+            }
+            self.clips.push(clip);
+        }
+        let drawn = self.children(group);
+        self.clips.truncate(clips);
+        drawn
+    }
+
+    fn children(&mut self, group: &Group) -> Result<(), String> {
         for node in group.children() {
             match node {
                 Node::Group(group) => self.group(group)?,
                 Node::Path(path) if path.is_visible() => {
                     self.paths += 1;
-                    let whole = self.within(path)?;
-                    self.path(whole.segments());
+                    self.path(path)?;
                     if self.points > MOST_POINTS {
                         return Err(format!(
                             "{}: the drawing has more than {MOST_POINTS} lines up to here; a larger --tolerance needs fewer, or prepare it in parts",
@@ -350,44 +337,64 @@ impl Found<'_> {
         Ok(whole)
     }
 
-    fn path(&mut self, segments: impl Iterator<Item = PathSegment>) {
-        let point = |p: resvg::tiny_skia::Point| kurbo::Point::new(p.x.into(), p.y.into());
-        let elements = segments.map(|segment| match segment {
-            PathSegment::MoveTo(p) => PathEl::MoveTo(point(p)),
-            PathSegment::LineTo(p) => PathEl::LineTo(point(p)),
-            PathSegment::QuadTo(a, p) => PathEl::QuadTo(point(a), point(p)),
-            PathSegment::CubicTo(a, b, p) => PathEl::CurveTo(point(a), point(b), point(p)),
-            PathSegment::Close => PathEl::ClosePath,
-        });
-        let (frame, mut stroke) = (self.frame, Vec::new());
-        let (strokes, count) = (&mut self.strokes, &mut self.points);
-        let mut end = |stroke: &mut Vec<Point>| {
-            if stroke.len() > 1 {
-                *count += stroke.len();
-                strokes.push(std::mem::take(stroke));
+    fn path(&mut self, path: &usvg::Path) -> Result<(), String> {
+        let whole = self.within(path)?;
+        let (frame, tolerance) = (self.frame, self.tolerance);
+        let outlines = lines::outlines(&whole, Affine::IDENTITY, frame, tolerance);
+        let hatched = self.hatched(path, &outlines)?;
+        let place = affine(path.abs_transform());
+        let dashed = match path.stroke() {
+            None => None,
+            Some(stroke) => {
+                let dashes = lines::dashes(path.data(), place, stroke, frame, tolerance);
+                dashes.map_err(|count| {
+                    format!(
+                        "{}: it has {count:.1e} dashes, which is more than memory may hold; make them longer",
+                        self.called(path)
+                    )
+                })?
             }
-            stroke.clear();
         };
-        kurbo::flatten(
-            elements,
-            self.tolerance / frame.scale,
-            |element| match element {
-                PathEl::MoveTo(p) => {
-                    end(&mut stroke);
-                    stroke.push(frame.place(p));
-                }
-                PathEl::LineTo(p) => stroke.push(frame.place(p)),
-                PathEl::ClosePath => {
-                    let first = stroke.first().copied();
-                    stroke.extend(first);
-                    end(&mut stroke);
-                    // A line after a close without a move begins at the start of the path.
-                    stroke.extend(first);
-                }
-                PathEl::QuadTo(..) | PathEl::CurveTo(..) => {}
-            },
-        );
-        end(&mut stroke);
+        for stroke in dashed.unwrap_or(outlines).into_iter().chain(hatched) {
+            let clips: Vec<&dyn Within> = self.clips.iter().map(|clip| clip as _).collect();
+            let pieces = match clips.is_empty() {
+                true => vec![stroke],
+                false => cut(&stroke, &clips),
+            };
+            self.points += pieces.iter().map(Vec::len).sum::<usize>();
+            self.strokes.extend(pieces);
+            if self.points > MOST_POINTS {
+                return Ok(());
+            }
+        }
+        Ok(())
+    }
+
+    /// The lines that hatch the path, if it is wished and the path is filled. White is the paper.
+    fn hatched(
+        &mut self,
+        path: &usvg::Path,
+        outlines: &[Vec<Point>],
+    ) -> Result<Vec<Vec<Point>>, String> {
+        let (Some(hatch), Some(fill)) = (self.hatch, path.fill()) else {
+            return Ok(Vec::new());
+        };
+        if matches!(fill.paint(), usvg::Paint::Color(color) if *color == usvg::Color::white()) {
+            self.note("what is filled with white is not hatched");
+            return Ok(Vec::new());
+        }
+        if area::lines_across(outlines, hatch) > MOST_POINTS as f64 / 10.0 {
+            return Err(format!(
+                "{}: hatching it needs more than {} lines; a larger space between them needs fewer",
+                self.called(path),
+                MOST_POINTS / 10
+            ));
+        }
+        Ok(area::hatch(
+            outlines,
+            fill.rule() == usvg::FillRule::EvenOdd,
+            hatch,
+        ))
     }
 }
 

@@ -6,7 +6,9 @@
 mod clients;
 mod drawings;
 mod guide;
+mod pen;
 mod rig;
 mod streamed;
 mod strikes;
 mod tool;
+mod words;

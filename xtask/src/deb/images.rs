@@ -10,6 +10,9 @@ use std::process::Command;
 /// What a board's folder must have, after its name.
 const FILES: [&str; 3] = [".bit", "-golden.bit", ".flash"];
 
+/// What it may have, too: the texts of `ferrocnc log`. Images packed before it was there have none.
+const TEXTS: &str = ".elf";
+
 /// A board file without pins, which gets no images.
 const WITHOUT: &str = "max";
 
@@ -53,7 +56,9 @@ pub fn gather(from: &Path, to: &Path) -> Result<Gathered> {
         }
         let copies = to.join(&*name);
         fs::create_dir_all(&copies)?;
-        for file in files {
+        let texts = format!("{name}{TEXTS}");
+        let there = folder.join(&texts).is_file();
+        for file in files.into_iter().chain(there.then_some(texts)) {
             fs::copy(folder.join(&file), copies.join(&file)).with_context(|| file.clone())?;
         }
         found.push(name.into_owned());
@@ -90,6 +95,7 @@ mod tests {
                 fs::write(from.join(format!("{board}/{board}{end}")), board).unwrap();
             }
         }
+        fs::write(from.join("mill6/mill6.elf"), "texts").unwrap();
         let some = gather(&from, &to).unwrap();
         let sums = fs::read_to_string(to.join("SHA256SUMS")).unwrap();
         fs::remove_dir_all(&at).unwrap();
@@ -97,7 +103,7 @@ mod tests {
         let said = some.sentence();
         assert!(said.starts_with("images of mill6; missing"), "{said}");
         assert!(said.contains("plotter") && !said.contains("max"), "{said}");
-        assert_eq!(sums.lines().count(), FILES.len());
+        assert_eq!(sums.lines().count(), FILES.len() + 1);
         assert!(sums.contains("  mill6/mill6.flash\n"), "{sums}");
     }
 }

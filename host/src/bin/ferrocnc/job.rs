@@ -3,14 +3,17 @@
 
 mod board;
 
+pub(crate) use board::tell;
+
 use crate::consent;
 use crate::progress::Bar;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, Subcommand, ValueEnum};
 use ferrocnc::job::machine::MachineFile;
+use ferrocnc::job::pen::{self, Heights};
 use ferrocnc::job::preview::{self, duration};
 use ferrocnc::job::program::{Dialect, Program, ending};
-use ferrocnc::job::svg::{self, Tool, Wish};
+use ferrocnc::job::svg::{self, Hatch, Tool, Wish};
 use ferrocnc::job::trace::{self, Trace};
 use jobs::gcode::DwellUnit;
 use jobs::instruction::Feed;
@@ -125,6 +128,15 @@ pub(crate) struct Prepare {
     /// at -0.5 mm).
     #[arg(long, default_value = "m3", value_name = "m3|z:UP,DOWN", value_parser = tool, allow_hyphen_values = true)]
     tool: Tool,
+    /// How G-code moves its pen: with M3 and M5, or with Z, which is then down below HEIGHT (in mm;
+    /// found from the file if not given). If not given, Z moves and M3 switches; a .bin is written
+    /// with the pen as Z if the file lifts it with Z.
+    #[arg(long, value_name = "m3|z[:HEIGHT]", value_parser = pen_of, allow_hyphen_values = true)]
+    pen: Option<Pen>,
+    /// Hatch what a drawing fills: mm from line to line, and their direction in degrees,
+    /// counterclockwise from X; 45 if not given. White is not hatched.
+    #[arg(long, value_name = "MM[:ANGLE]", value_parser = hatch)]
+    hatch: Option<Hatch>,
     /// Keep the drawing's own order, even if the travel moves are long.
     #[arg(long)]
     keep_order: bool,
@@ -158,6 +170,79 @@ fn tolerance(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(mm) if (0.001..=10.0).contains(&mm) => Ok(mm),
         _ => Err("from 0.001 to 10 mm".to_owned()),
+    }
+}
+
+/// What moves the pen of a program.
+#[derive(Clone, Copy)]
+enum Pen {
+    /// M3 and M5.
+    Output,
+    /// Z, below this many mm, or below what the file has.
+    Z(Option<f64>),
+}
+
+fn pen_of(text: &str) -> Result<Pen, String> {
+    let height = text.strip_prefix("z:").map(str::parse::<f64>);
+    match (text, height) {
+        ("m3", _) => Ok(Pen::Output),
+        ("z", _) => Ok(Pen::Z(None)),
+        (_, Some(Ok(height))) if height.is_finite() => Ok(Pen::Z(Some(height))),
+        _ => Err("m3, z, or z:HEIGHT in mm".to_owned()),
+    }
+}
+
+/// The program with the pen as it is wished, and what is to be said of it.
+fn penned(program: Program, pen: Option<Pen>, is_bin: bool) -> Result<(Program, Option<String>)> {
+    let found = |heights: &Heights| {
+        format!(
+            "the pen is Z: up at {} mm, down at {} mm, divided at {} mm",
+            heights.up,
+            heights.down,
+            heights.middle()
+        )
+    };
+    match pen {
+        Some(Pen::Output) => Ok((program, None)),
+        Some(Pen::Z(Some(height))) => Ok((pen::from_z(&program, height), None)),
+        Some(Pen::Z(None)) => {
+            let heights = Heights::of(&program).context(
+                "the file does not show at which Z the pen is down: name the height, --pen z:HEIGHT",
+            )?;
+            let said = found(&heights);
+            Ok((pen::from_z(&program, heights.middle()), Some(said)))
+        }
+        None if is_bin => match Heights::of(&program) {
+            None => Ok((program, None)),
+            Some(heights) => {
+                let said = found(&heights);
+                Ok((pen::from_z(&program, heights.middle()), Some(said)))
+            }
+        },
+        None => {
+            let said = pen::lifts_with_z(&program).map(|heights| {
+                format!(
+                    "M3 stays on while Z lifts the tool (up at {} mm, down at {} mm); for a plotter's pen: --pen z",
+                    heights.up, heights.down
+                )
+            });
+            Ok((program, said))
+        }
+    }
+}
+
+fn hatch(text: &str) -> Result<Hatch, String> {
+    let (spacing, angle) = text.split_once(':').unwrap_or((text, "45"));
+    match (spacing.parse::<f64>(), angle.parse::<f64>()) {
+        (Ok(spacing), Ok(angle))
+            if (0.05..=1000.0).contains(&spacing) && (-360.0..=360.0).contains(&angle) =>
+        {
+            Ok(Hatch { spacing, angle })
+        }
+        _ => Err(
+            "MM or MM:ANGLE, from 0.05 to 1000 mm and from -360 to 360 degrees, as 0.8:45"
+                .to_owned(),
+        ),
     }
 }
 
@@ -265,6 +350,12 @@ fn prepare(prepare: &Prepare, as_json: bool) -> Result<()> {
     };
     let name = prepare.name.clone();
     let (mut program, mut facts, notes) = if ending(file) == "svg" {
+        if prepare.pen.is_some() {
+            bail!(
+                "{}: --pen is for G-code; a drawing's pen is --tool",
+                file.display()
+            );
+        }
         let text = std::fs::read(file).with_context(|| file.display().to_string())?;
         let wish = Wish {
             page: prepare.page,
@@ -272,6 +363,7 @@ fn prepare(prepare: &Prepare, as_json: bool) -> Result<()> {
             tolerance: prepare.tolerance,
             feed: prepare.feed,
             tool: prepare.tool,
+            hatch: prepare.hatch,
             order: !prepare.keep_order,
             fonts: prepare.font.clone(),
         };
@@ -285,7 +377,11 @@ fn prepare(prepare: &Prepare, as_json: bool) -> Result<()> {
         (prepared.program, facts, prepared.notes)
     } else {
         let program = Program::read(file, &dialect).map_err(|error| anyhow!(error))?;
-        (program, json!({}), Vec::new())
+        let is_bin = ending(&prepare.output) == "bin";
+        let (program, said) =
+            penned(program, prepare.pen, is_bin).with_context(|| file.display().to_string())?;
+        let notes: Vec<String> = said.into_iter().collect();
+        (program, json!({ "notes": notes }), notes)
     };
     if let Some(name) = name {
         program.name = name;
@@ -389,6 +485,6 @@ fn save(file: &Path, bytes: &[u8], force: bool) -> Result<()> {
         .map_err(|error| anyhow!("{}: cannot be written ({error})", file.display()))
 }
 
-fn say(text: &str) -> Result<()> {
+pub(crate) fn say(text: &str) -> Result<()> {
     Ok(std::io::stdout().lock().write_all(text.as_bytes())?)
 }

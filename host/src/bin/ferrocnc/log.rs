@@ -1,34 +1,63 @@
 //! `ferrocnc log`: prints the firmware's defmt frames from the board's ring buffer as text.
 //!
-//! The firmware stores numbers; the texts are in its ELF. After the ring has wrapped, its first
+//! The firmware stores numbers; the texts are in its ELF, which has to be that of the running build
+//! ([`elf`]). After the ring has wrapped, its first
 //! bytes are the rest of a frame. Frames end with a zero byte, so the decoder finds the next one by
 //! itself.
+
+mod elf;
 
 use anyhow::{Context, Result, bail, ensure};
 use defmt_decoder::{DecodeError, Table};
 use ferrocnc::client::Client;
 use serde_json::json;
 use std::io::Write;
-use std::path::Path;
+use std::path::PathBuf;
 use std::time::Duration;
 use wire::map;
 
 /// More than any board's ring: a larger value is not a valid size.
 const RING_MOST: u32 = 4096;
 
-pub(crate) fn run(client: &mut Client, elf: &Path, follow: bool, as_json: bool) -> Result<()> {
-    let bytes = std::fs::read(elf).with_context(|| {
-        format!(
-            "cannot read {}; name the firmware's ELF with --elf",
-            elf.display()
-        )
-    })?;
+/// Where the texts are.
+#[derive(clap::Args)]
+pub(crate) struct Texts {
+    /// The firmware's ELF file, which holds the texts. If not given, it is found by the build id of
+    /// the board.
+    #[arg(long, value_name = "FILE", conflicts_with = "elf_dir")]
+    elf: Option<PathBuf>,
+    /// A folder to look for it, beside target/bitstream, target/firmware and
+    /// /usr/share/ferrocnc/images; may be repeated.
+    #[arg(long, value_name = "DIR")]
+    elf_dir: Vec<PathBuf>,
+}
+
+impl Texts {
+    /// The ELF of the build that the board runs.
+    fn choose(&self, client: &mut Client) -> Result<elf::Chosen> {
+        let build = client.read(&[map::FLASH_BUILD_ID])?[0];
+        match &self.elf {
+            Some(file) => elf::named(file, build),
+            None => {
+                let known = elf::FOLDERS.iter().map(PathBuf::from);
+                let folders: Vec<PathBuf> = self.elf_dir.iter().cloned().chain(known).collect();
+                elf::found(&folders, build)
+            }
+        }
+    }
+}
+
+pub(crate) fn run(client: &mut Client, texts: &Texts, follow: bool, as_json: bool) -> Result<()> {
+    let elf::Chosen { file, bytes, note } = texts.choose(client)?;
+    if let Some(note) = note {
+        eprintln!("ferrocnc: {note}");
+    }
     let table = Table::parse(&bytes)
-        .with_context(|| format!("{} holds no usable log texts", elf.display()))?;
+        .with_context(|| format!("{} holds no usable log texts", file.display()))?;
     let Some(table) = table else {
         bail!(
             "{} has no .defmt section; is it the firmware?",
-            elf.display()
+            file.display()
         );
     };
     let mut decoder = table.new_stream_decoder();

@@ -27,6 +27,7 @@ mod set;
 mod text;
 mod update;
 mod watch;
+mod words;
 
 use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
@@ -60,6 +61,9 @@ enum ToolCommand {
     /// executes them by itself.
     #[command(subcommand)]
     Job(job::JobToolCommand),
+    /// FPGA G's words: STATUS, START, STOP and GCODE, from a file or from the keyboard, with the
+    /// bits of the status by name.
+    Words(words::WordsArguments),
     /// What the board is: versions, channels and their names, clock, state.
     Describe {
         /// IP[:port] of the board.
@@ -83,13 +87,8 @@ enum ToolCommand {
         /// IP[:port] of the board.
         #[arg(value_name = "ADDR")]
         address: String,
-        /// The firmware's ELF file: it holds the texts.
-        #[arg(
-            long,
-            value_name = "FILE",
-            default_value = "target/firmware/ferrocnc-firmware.elf"
-        )]
-        elf: std::path::PathBuf,
+        #[command(flatten)]
+        texts: log::Texts,
         /// Keep showing what is added.
         #[arg(long, short)]
         follow: bool,
@@ -155,6 +154,7 @@ fn run(arguments: &Arguments) -> Result<()> {
     match &arguments.command {
         ToolCommand::Config(command) => config::run(command, json),
         ToolCommand::Job(command) => job::run(command, json),
+        ToolCommand::Words(arguments) => words::run(arguments, json),
         ToolCommand::Describe { address } => describe::run(&mut open(address)?, json),
         ToolCommand::Watch {
             address,
@@ -163,9 +163,9 @@ fn run(arguments: &Arguments) -> Result<()> {
         } => watch::run(&mut open(address)?, *once, *interval, json),
         ToolCommand::Log {
             address,
-            elf,
+            texts,
             follow,
-        } => log::run(&mut open(address)?, elf, *follow, json),
+        } => log::run(&mut open(address)?, texts, *follow, json),
         ToolCommand::Discover(arguments) => discover::run(arguments, json),
         ToolCommand::Set(arguments) => set::run(arguments, json),
         ToolCommand::Selftest(arguments) => selftest::run(arguments, json),

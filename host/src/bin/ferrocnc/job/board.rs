@@ -252,7 +252,7 @@ fn hinted(error: JobError) -> anyhow::Error {
     }
 }
 
-fn tell(board: &mut Board, machine: Option<&Path>) -> Result<()> {
+pub(crate) fn tell(board: &mut Board, machine: Option<&Path>) -> Result<()> {
     let Some(file) = machine else {
         return Ok(());
     };
