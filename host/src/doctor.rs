@@ -2,7 +2,7 @@
 //!
 //! Every check reads: files below `/proc`, `/sys` and a few others, and what `ip`, `ethtool` and
 //! `getcap` print. It needs no root, changes nothing, and takes no session, so it works while
-//! LinuxCNC drives a board. A [`Finding`] says the fact, a verdict, its reason, what to do now, and
+//! LinuxCNC drives a board; but for the soak, which takes the board. A [`Finding`] says the fact, a verdict, its reason, what to do now, and
 //! what makes that outlast a restart of the computer.
 //!
 //! | module | |
@@ -12,6 +12,7 @@
 //! | [`port`] | the Ethernet port: driver, link, interrupts, power |
 //! | [`network`] | addresses, routes, neighbours on it |
 //! | [`card`] | the board's release, and which way exchanges take |
+//! | [`soak`] | the exchange itself, measured for a minute |
 //! | [`system`] | where all of them read |
 //! | [`fix`] | what is repaired if the operator says so |
 //!
@@ -24,6 +25,7 @@ pub mod fix;
 pub mod network;
 pub mod platform;
 pub mod port;
+pub mod soak;
 pub mod system;
 
 use crate::finding::{Finding, Report};

@@ -676,6 +676,22 @@ fn lists_and_masks_are_read_as_the_kernel_writes_them() {
 }
 
 #[test]
+fn nothing_is_measured_while_linuxcnc_runs() {
+    let made = Made::healthy();
+    let system = System {
+        root: made.root.clone(),
+        ..System::real()
+    };
+    assert_eq!(soak::refusal(&system), None);
+    made.file("proc/812/comm", "rtapi_app\n");
+    let why = soak::refusal(&system).expect("a reason");
+    assert!(
+        why.contains("rtapi_app") && why.contains("end LinuxCNC"),
+        "{why}"
+    );
+}
+
+#[test]
 fn a_report_for_others_has_no_hardware_address() {
     let made = Made::healthy();
     made.file("proc/net/arp", "IP address HW type Flags HW address Mask Device\n192.168.2.50 0x1 0x2 02:00:00:00:00:01 * eth1\n");

@@ -24,6 +24,7 @@ mod pages;
 mod progress;
 mod selftest;
 mod set;
+mod soak;
 mod text;
 mod update;
 mod watch;
