@@ -8,10 +8,14 @@
 //! | module | |
 //! |---|---|
 //! | [`platform`] | kernel, LinuxCNC, its rights, the module |
+//! | [`linuxcnc`] | its real-time part: what an earlier run left, which build, which processor |
 //! | [`cpu`] | what keeps a processor from the servo thread |
+//! | [`kernel`] | idle states, power of PCIe, parameters, graphics driver |
 //! | [`port`] | the Ethernet port: driver, link, interrupts, power |
+//! | [`card`] | its chip, the threads of its interrupts, what it puts together |
 //! | [`network`] | addresses, routes, neighbours on it |
-//! | [`card`] | the board's release, and which way exchanges take |
+//! | [`others`] | managers, firewalls and programs that use the port, too |
+//! | [`board`] | the board's release, and which way exchanges take |
 //! | [`soak`] | the exchange itself, measured for a minute |
 //! | [`system`] | where all of them read |
 //! | [`fix`] | what is repaired if the operator says so |
@@ -20,9 +24,13 @@
 //! page of Mesa's `hm2_eth`, and threads of LinuxCNC's users. A limit of our own says so.
 
 pub mod board;
+pub mod card;
 pub mod cpu;
 pub mod fix;
+pub mod kernel;
+pub mod linuxcnc;
 pub mod network;
+pub mod others;
 pub mod platform;
 pub mod port;
 pub mod soak;
@@ -44,12 +52,16 @@ pub struct Subject {
 /// Looks at everything.
 pub fn examine(system: &System<'_>, subject: &Subject) -> Report {
     let mut findings = platform::examine(system);
+    findings.extend(linuxcnc::examine(system));
     findings.extend(cpu::examine(system));
+    findings.extend(kernel::examine(system));
     let routed = || subject.board.and_then(|ip| network::to(system, ip));
     match subject.interface.clone().or_else(routed) {
         Some(interface) => {
             findings.extend(port::examine(system, &interface));
+            findings.extend(card::examine(system, &interface));
             findings.extend(network::examine(system, &interface, subject.board));
+            findings.extend(others::examine(system, &interface, subject.board));
         }
         None => findings.push(no_interface(subject)),
     }

@@ -27,8 +27,8 @@ pub(crate) struct Doctor {
     /// Draw the soak there: SVG, or PNG if the name ends in .png.
     #[arg(long, value_name = "FILE", requires = "soak")]
     plot: Option<PathBuf>,
-    /// Repair CPU frequency and real-time throttling, now and for every start of the computer; asks
-    /// for each. `ferrocnc net setup` repairs the port.
+    /// Repair CPU frequency, real-time throttling and power of PCIe, now and for every start of the
+    /// computer; asks for each. `ferrocnc net setup` repairs the port.
     #[arg(long, conflicts_with_all = ["address", "interface", "report"])]
     fix: bool,
     /// Take back what --fix did; asks for each.
@@ -74,7 +74,9 @@ fn fix(system: &System<'_>, yes: bool) -> Result<()> {
     consent::needs_root("values of the kernel", "doctor --fix")?;
     let all = fixes(system);
     if all.is_empty() {
-        println!("nothing to repair: CPU frequency and real-time throttling are as they should be");
+        println!(
+            "nothing to repair: CPU frequency, real-time throttling and power of PCIe are as they should be"
+        );
     }
     for fix in &all {
         print!("{}", to_text(fix));
