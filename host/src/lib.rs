@@ -31,6 +31,7 @@
 //! | [`jtag`] | runs openFPGALoader |
 //! | [`doctor`] | what of this computer makes exchanges late or lost, with remedies |
 //! | [`net`] | a port of this computer, given to the board and taken back |
+//! | [`panel`] | panels for LinuxCNC's screens that say what is wrong |
 //! | [`selftest`] | tests of a new board and its wiring, with remedies |
 //! | [`finding`] | what those two found, as text and JSON |
 //! | [`job`] | drawings and programs become jobs, are drawn and checked |
@@ -107,6 +108,8 @@ pub mod module;
 pub mod names;
 #[cfg(feature = "tool")]
 pub mod net;
+#[cfg(feature = "tool")]
+pub mod panel;
 #[cfg(feature = "tool")]
 pub mod provision;
 pub mod replace;
