@@ -5,6 +5,7 @@
 pub mod arming;
 pub mod encoder;
 pub mod ethernet;
+pub mod exchange;
 pub mod gpio;
 pub mod latch;
 pub mod packets;

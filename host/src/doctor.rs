@@ -2,16 +2,21 @@
 //!
 //! Every check reads: files below `/proc`, `/sys` and a few others, and what `ip`, `ethtool` and
 //! `getcap` print. It needs no root, changes nothing, and takes no session, so it works while
-//! LinuxCNC drives a board. A [`Finding`] says the fact, a verdict, its reason, what to do now, and
+//! LinuxCNC drives a board; but for the soak, which takes the board. A [`Finding`] says the fact, a verdict, its reason, what to do now, and
 //! what makes that outlast a restart of the computer.
 //!
 //! | module | |
 //! |---|---|
 //! | [`platform`] | kernel, LinuxCNC, its rights, the module |
+//! | [`linuxcnc`] | its real-time part: what an earlier run left, which build, which processor |
 //! | [`cpu`] | what keeps a processor from the servo thread |
+//! | [`kernel`] | idle states, power of PCIe, parameters, graphics driver |
 //! | [`port`] | the Ethernet port: driver, link, interrupts, power |
+//! | [`card`] | its chip, the threads of its interrupts, what it puts together |
 //! | [`network`] | addresses, routes, neighbours on it |
-//! | [`card`] | the board's release, and which way exchanges take |
+//! | [`others`] | managers, firewalls and programs that use the port, too |
+//! | [`board`] | the board's release, and which way exchanges take |
+//! | [`soak`] | the exchange itself, measured for a minute |
 //! | [`system`] | where all of them read |
 //! | [`fix`] | what is repaired if the operator says so |
 //!
@@ -19,11 +24,16 @@
 //! page of Mesa's `hm2_eth`, and threads of LinuxCNC's users. A limit of our own says so.
 
 pub mod board;
+pub mod card;
 pub mod cpu;
 pub mod fix;
+pub mod kernel;
+pub mod linuxcnc;
 pub mod network;
+pub mod others;
 pub mod platform;
 pub mod port;
+pub mod soak;
 pub mod system;
 
 use crate::finding::{Finding, Report};
@@ -42,12 +52,16 @@ pub struct Subject {
 /// Looks at everything.
 pub fn examine(system: &System<'_>, subject: &Subject) -> Report {
     let mut findings = platform::examine(system);
+    findings.extend(linuxcnc::examine(system));
     findings.extend(cpu::examine(system));
+    findings.extend(kernel::examine(system));
     let routed = || subject.board.and_then(|ip| network::to(system, ip));
     match subject.interface.clone().or_else(routed) {
         Some(interface) => {
             findings.extend(port::examine(system, &interface));
+            findings.extend(card::examine(system, &interface));
             findings.extend(network::examine(system, &interface, subject.board));
+            findings.extend(others::examine(system, &interface, subject.board));
         }
         None => findings.push(no_interface(subject)),
     }

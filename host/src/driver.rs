@@ -76,6 +76,7 @@ use crate::blocks::stepgen::Sample;
 use crate::blocks::{Period, PredictionBasis};
 use crate::client::{CHALLENGE_WORDS, SESSION_WORDS, Session, single_record};
 use crate::clock::Timebase;
+use crate::fault::Fault;
 use crate::glue::Glue;
 use crate::group::Group;
 use crate::hal::checked::Watch;
@@ -85,7 +86,7 @@ use export::Pins;
 use state::{Blocks, Condition, Exchange, Membership, Phase, SessionState, Times};
 use std::sync::Arc;
 use std::time::Instant;
-use tell::{Event, Notifier};
+use tell::Notifier;
 use wire::describe::Channels;
 use wire::exchange::{Command, Latch, Status};
 use wire::units::Clocks;
@@ -224,18 +225,20 @@ impl Driver {
         self.exchange.repeated = false;
         self.exchange.written = false;
         self.follow_group();
+        self.publish_fault();
         self.glue.outputs();
     }
 
     /// Sends what is wanted of the board in the coming period.
     pub fn write(&mut self, period_ns: i64) {
         self.glue.inputs();
+        self.blocks.exchanges.follow_reset();
         for watch in &mut self.watches {
             watch.look(period_ns, |what| self.notifier.tell(Level::Error, what));
         }
         if core::mem::replace(&mut self.exchange.written, true) {
             return self.notifier.once(
-                Event::Unread,
+                Fault::Unread,
                 format_args!(
                     "write was called again without a read between; addf ferrocnc.{0}.read before ferrocnc.{0}.write, to one thread",
                     self.index
@@ -246,6 +249,7 @@ impl Driver {
         self.tell_group();
         self.follow_group();
         self.follow_io_error();
+        self.publish_fault();
         let period = Period::new(period_ns, self.clock_hz);
         match self.session.phase {
             Phase::Online { token } => {
@@ -288,12 +292,13 @@ impl Driver {
         }
         self.raise_io_error();
         self.condition.live = false;
+        self.pins.fault_code.set(Fault::Halted.code());
     }
 
     /// Another thread called while this one was inside, and was sent away.
     pub fn collided(&mut self) {
         self.notifier.once(
-            Event::Collided,
+            Fault::Collided,
             format_args!(
                 "two threads call its functions at once, and one was sent away; addf ferrocnc.{0}.read and ferrocnc.{0}.write to \
                  one thread",
@@ -338,11 +343,8 @@ impl Driver {
         }
         if flood.tell {
             self.notifier.once(
-                Event::Flooded,
-                format_args!(
-                    "far more datagrams than a board sends come from its address; find what floods the network, or answers will be \
-                     lost"
-                ),
+                Fault::Flooded,
+                format_args!("{}; {}", Fault::Flooded.text(), Fault::Flooded.remedy()),
             );
         }
         status
@@ -362,10 +364,10 @@ impl Driver {
                 let newest = base == self.exchange.sequence;
                 let repeats =
                     self.exchange.repeated && base == self.exchange.sequence.wrapping_sub(1);
-                if self.exchange.awaiting
-                    && (newest || repeats)
-                    && let Ok(status) = Status::parse_reply(words, self.channels)
-                {
+                if !(self.exchange.awaiting && (newest || repeats)) {
+                    self.blocks.exchanges.late(base);
+                } else if let Ok(status) = Status::parse_reply(words, self.channels) {
+                    self.timed(base);
                     if newest {
                         return Some(status);
                     }
@@ -401,6 +403,18 @@ impl Driver {
             }
         }
         second_best
+    }
+
+    /// An exchange was answered: how long that took is counted.
+    fn timed(&mut self, sequence: u32) {
+        let sent = self.times.sent.iter().find(|sent| sent.0 == sequence);
+        let Some((_, sent)) = sent else { return };
+        let all = u64::try_from(self.times.now() - sent).unwrap_or(0);
+        let unread = self.link.unread_for().as_nanos();
+        // If it says more than all, the wall clock was set meanwhile.
+        let unread = u64::try_from(unread).unwrap_or(u64::MAX);
+        let nanos = all.checked_sub(unread).unwrap_or(all);
+        self.blocks.exchanges.answered(sequence, nanos);
     }
 
     fn answered(&mut self, status: &Status, period: Period) {

@@ -31,9 +31,12 @@
 //! | [`jtag`] | runs openFPGALoader |
 //! | [`doctor`] | what of this computer makes exchanges late or lost, with remedies |
 //! | [`net`] | a port of this computer, given to the board and taken back |
+//! | [`panel`] | panels for LinuxCNC's screens that say what is wrong |
 //! | [`selftest`] | tests of a new board and its wiring, with remedies |
 //! | [`finding`] | what those two found, as text and JSON |
 //! | [`job`] | drawings and programs become jobs, are drawn and checked |
+//! | [`histogram`] | how often an exchange took how long, in bounded time |
+//! | [`fault`] | what can be wrong with a board, its number, its words, its remedy |
 //! | [`hal`] | typed pins, the real HAL, a HAL in a `Vec` |
 //!
 //! # Pins of a board
@@ -50,6 +53,7 @@
 //! | `enabled` | bit out | armed, outputs live; for the E-stop chain |
 //! | `state` | u32 out | [`wire::State`]: 0 boot, 1 disarmed, 2 armed, 3 stopping, 4 faulted |
 //! | `fault-reason` | u32 out | [`wire::FaultReason`]: why it stopped last; 100 + n: because board n did |
+//! | `fault-code` | u32 out | [`fault::Fault`]: what the operator was told last, or why it stopped |
 //! | `position-trusted` | bit out | no pulse was cut off since it was armed, and the board answers |
 //! | `estop` | bit out | an e-stop input has tripped; latched until armed again |
 //! | `refused-total` | u32 out | datagrams the board refused since it started |
@@ -63,7 +67,7 @@
 //! | `apply-delay-ns` | u32 param | commands take effect this long after `write`, on all boards at once; 0: on arrival |
 //!
 //! then [`blocks::packets`], [`blocks::watchdog`], [`blocks::wallclock`], [`blocks::ethernet`],
-//! [`blocks::ways`], and per channel [`blocks::stepgen`], [`blocks::encoder`], [`blocks::pwm`],
+//! [`blocks::ways`], [`blocks::exchange`], and per channel [`blocks::stepgen`], [`blocks::encoder`], [`blocks::pwm`],
 //! [`blocks::gpio`], with the board's own name for the channel where it has one and two digits
 //! where not. If a pin's name would be longer than 41 characters, it has its channel's two digits
 //! instead: `encoder.05.position-latched` of the encoder `spindle`. `docs/pins.md` has them all in
@@ -79,6 +83,7 @@ pub mod discovery;
 #[cfg(feature = "tool")]
 pub mod doctor;
 pub mod driver;
+pub mod fault;
 pub mod fence;
 #[cfg(feature = "tool")]
 pub mod finding;
@@ -89,6 +94,7 @@ pub mod flash_file;
 pub mod glue;
 pub mod group;
 pub mod hal;
+pub mod histogram;
 #[cfg(feature = "tool")]
 pub mod image;
 #[cfg(feature = "tool")]
@@ -102,6 +108,8 @@ pub mod module;
 pub mod names;
 #[cfg(feature = "tool")]
 pub mod net;
+#[cfg(feature = "tool")]
+pub mod panel;
 #[cfg(feature = "tool")]
 pub mod provision;
 pub mod replace;

@@ -1,6 +1,9 @@
 //! The socket in the servo thread: one `send` per period, one `recv`, and a `ppoll` when the answer
 //! is not there yet. Nothing else of this crate makes a system call in that thread.
 //!
+//! Each datagram comes with the time at which the kernel had it (`SO_TIMESTAMPNS`), because `read`
+//! looks up to a period later, and the exchange is to be told from that wait.
+//!
 //! It uses `ppoll`, not a read timeout: `SO_RCVTIMEO` counts in jiffies, and 200 us measured as 11
 //! ms, ten servo periods for one lost packet.
 //!
@@ -11,7 +14,7 @@
 use std::io;
 use std::net::{SocketAddr, SocketAddrV4, UdpSocket};
 use std::os::fd::AsRawFd;
-use std::time::Instant;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use wire::{MAX_PAYLOAD, MAX_WORDS};
 
 /// Datagrams a period looks at, some 1 us each. The board sends 8 at most (two answers, two
@@ -75,17 +78,21 @@ pub struct Link {
     words: [u32; MAX_WORDS],
     /// System calls made so far.
     calls: u64,
+    /// When the kernel had the last datagram, by the wall clock, if it said so.
+    stamp: Option<Duration>,
 }
 
 impl Link {
     /// Takes over a connected socket.
     pub fn new(socket: UdpSocket) -> io::Result<Self> {
         socket.set_nonblocking(true)?;
+        stamp_arrivals(&socket);
         Ok(Link {
             socket,
             bytes: [0; MAX_PAYLOAD],
             words: [0; MAX_WORDS],
             calls: 0,
+            stamp: None,
         })
     }
 
@@ -100,6 +107,14 @@ impl Link {
             Ok(SocketAddr::V4(local)) => Some(local),
             Ok(SocketAddr::V6(_)) | Err(_) => None,
         }
+    }
+
+    /// For how long the last datagram has lain here unread; 0 if the kernel does not say. The wall
+    /// clock may have been set since, so this may be anything.
+    pub fn unread_for(&self) -> Duration {
+        let now = SystemTime::now().duration_since(UNIX_EPOCH);
+        let since = |stamp| now.ok()?.checked_sub(stamp);
+        self.stamp.and_then(since).unwrap_or_default()
     }
 
     /// Sends one datagram; `false` if the network would not take it.
@@ -124,7 +139,7 @@ impl Link {
     pub fn receive(&mut self, deadline: Instant, looks: &mut u32) -> Option<&[u32]> {
         while *looks > 0 {
             self.calls += 1;
-            match self.socket.recv(&mut self.bytes) {
+            match self.take() {
                 Ok(length) => {
                     *looks -= 1;
                     // A datagram with a part of a word is not an answer.
@@ -154,6 +169,39 @@ impl Link {
             }
         }
         None
+    }
+
+    /// As `recv`, with the time of arrival.
+    fn take(&mut self) -> io::Result<usize> {
+        // Two of the one message with a time that there may be; aligned as its head has to be.
+        let mut control = [0u64; 8];
+        let mut data = libc::iovec {
+            iov_base: self.bytes.as_mut_ptr().cast(),
+            iov_len: self.bytes.len(),
+        };
+        // SAFETY: all of its fields are numbers or null pointers.
+        let mut head: libc::msghdr = unsafe { core::mem::zeroed() };
+        (head.msg_iov, head.msg_iovlen) = (&raw mut data, 1);
+        head.msg_control = control.as_mut_ptr().cast();
+        head.msg_controllen = size_of_val(&control) as _;
+        // SAFETY: `head` names two buffers that live here and are as long as it says.
+        let length = unsafe { libc::recvmsg(self.socket.as_raw_fd(), &raw mut head, 0) };
+        let length = usize::try_from(length).map_err(|_| io::Error::last_os_error())?;
+        // SAFETY: the kernel has filled `control` and said in `head` how far.
+        let first = unsafe { libc::CMSG_FIRSTHDR(&raw const head).as_ref() };
+        self.stamp = first
+            .filter(|it| (it.cmsg_level, it.cmsg_type) == (libc::SOL_SOCKET, libc::SCM_TIMESTAMPNS))
+            .and_then(|it| {
+                // SAFETY: a message of this type has a `timespec`; its place need not be aligned.
+                let time = unsafe {
+                    libc::CMSG_DATA(it)
+                        .cast::<libc::timespec>()
+                        .read_unaligned()
+                };
+                let seconds = u64::try_from(time.tv_sec).ok()?;
+                Some(Duration::new(seconds, u32::try_from(time.tv_nsec).ok()?))
+            });
+        Ok(length)
     }
 
     /// Throws away what is in the queue, unread; how many that were. A queue that fills as fast is
@@ -211,9 +259,46 @@ impl Link {
     }
 }
 
+/// Has the kernel say when each datagram arrived. One that cannot is no obstacle: then a datagram
+/// counts as arrived when it is read.
+fn stamp_arrivals(socket: &UdpSocket) {
+    let on: libc::c_int = 1;
+    // SAFETY: the value is an int that lives here, and its length is said.
+    let _ = unsafe {
+        libc::setsockopt(
+            socket.as_raw_fd(),
+            libc::SOL_SOCKET,
+            libc::SO_TIMESTAMPNS,
+            (&raw const on).cast(),
+            size_of_val(&on) as libc::socklen_t,
+        )
+    };
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_datagram_tells_how_long_it_has_lain_unread() {
+        let here = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+        let there = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+        here.connect(there.local_addr().unwrap()).unwrap();
+        there.connect(here.local_addr().unwrap()).unwrap();
+        let mut link = Link::new(here).expect("a link");
+        assert_eq!(link.unread_for(), Duration::ZERO, "nothing was read");
+        let lain = Duration::from_millis(5);
+        // The kernel begins to stamp datagrams some time after the first socket has asked for it.
+        let is_told = (0..200).any(|_| {
+            let before = Instant::now();
+            there.send(&[0; 8]).unwrap();
+            std::thread::sleep(lain);
+            let deadline = Instant::now() + Duration::from_secs(10);
+            assert_eq!(link.receive(deadline, &mut 8), Some(&[0, 0][..]));
+            (lain..before.elapsed()).contains(&link.unread_for())
+        });
+        assert!(is_told, "{:?}", link.unread_for());
+    }
 
     #[test]
     fn a_backlog_is_thrown_away_and_a_flood_is_told_once_while_it_lasts() {

@@ -318,6 +318,8 @@ fn one_board_that_falls_silent_stops_the_others_in_the_same_period() {
             shop.hal.get::<u32>(&format!("ferrocnc.{n}.fault-reason")),
             102
         );
+        let code: u32 = shop.hal.get(&format!("ferrocnc.{n}.fault-code"));
+        assert_eq!(code, 25, "another board stopped");
     }
     for _ in 0..40 {
         shop.period();

@@ -189,6 +189,7 @@ fn a_panic_stops_at_the_fence_and_stays_stopped() {
         fenced.write(PERIOD_NS);
     }
     assert!(hal.get::<bool>("ferrocnc.0.io-error"), "cannot be cleared");
+    assert_eq!(hal.get::<u32>("ferrocnc.0.fault-code"), 26, "it says so");
     assert_eq!(board.look().datagrams, before, "nothing is sent any more");
     let said = hal.said();
     assert_eq!(said.len(), 1, "one message: {said:?}");

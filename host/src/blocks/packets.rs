@@ -17,6 +17,8 @@ use crate::hal::checked::{Checked, Rule};
 use crate::hal::{ExportError, Exporter, Out};
 use std::time::Duration;
 
+/// 80 % of the period, hostmot2's default.
+const DEFAULT_READ_TIMEOUT: i32 = 80;
 /// 0 counts as 1.
 const LEVELS: Rule = Rule::Whole(0, i32::MAX);
 
@@ -46,7 +48,7 @@ impl Packets {
             limit: hal.setting("packet-error-limit", 10, LEVELS)?,
             increment: hal.setting("packet-error-increment", 2, LEVELS)?,
             decrement: hal.setting("packet-error-decrement", 1, LEVELS)?,
-            read_timeout: hal.setting("packet-read-timeout", 80, Rule::Any)?,
+            read_timeout: hal.setting("packet-read-timeout", DEFAULT_READ_TIMEOUT, Rule::Any)?,
         })
     }
 
@@ -95,6 +97,12 @@ impl Packets {
         let patience = patience_ns(self.read_timeout.get(), period_ns);
         Duration::from_nanos(patience.saturating_sub(since_ns.max(0) as u64))
     }
+}
+
+/// What `read` waits in a period of this length, if HAL says nothing else.
+#[cfg(feature = "tool")]
+pub(crate) fn default_timeout_ns(period_ns: i64) -> u64 {
+    patience_ns(DEFAULT_READ_TIMEOUT, period_ns)
 }
 
 /// hostmot2's meaning of `packet-read-timeout`.

@@ -13,7 +13,7 @@ use crate::hal::{ExportError, Exporter, Out};
 use wire::units::Clocks;
 
 /// 5 ms: five missed 1 kHz periods; hostmot2's default.
-const DEFAULT_TIMEOUT_NS: u32 = 5_000_000;
+pub(crate) const DEFAULT_TIMEOUT_NS: u32 = 5_000_000;
 /// 500 ms: an axis at 0.5 m/s and 1 m/s^2 has stopped.
 const DEFAULT_GRACE_NS: u32 = 500_000_000;
 

@@ -24,6 +24,12 @@ pub fn examine(system: &System<'_>) -> Vec<Finding> {
     ]
 }
 
+/// The processor that LinuxCNC takes for its threads: the highest of the isolated ones.
+pub fn isolated(system: &System<'_>) -> Option<u32> {
+    let isolated = system.read(&format!("{CPUS}/isolated"))?;
+    numbers(&isolated).last().copied()
+}
+
 fn list(of: &BTreeSet<u32>) -> String {
     let all: Vec<_> = of.iter().map(u32::to_string).collect();
     all.join(",")
@@ -158,13 +164,7 @@ fn clock(system: &System<'_>) -> Finding {
 
 fn balance(system: &System<'_>) -> Finding {
     let check = "irqbalance";
-    let runs = system.list("proc").iter().any(|process| {
-        process.bytes().all(|byte| byte.is_ascii_digit())
-            && system
-                .read(&format!("proc/{process}/comm"))
-                .is_some_and(|name| name == "irqbalance")
-    });
-    match runs {
+    match system.runs("irqbalance") {
         false => Finding::good(check, "does not run"),
         true => Finding::note(
             check,

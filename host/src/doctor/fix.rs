@@ -2,6 +2,7 @@
 //! thread. A file of `tmpfiles.d` makes each of them at every start of the computer, and says what
 //! they were before, so it is what undoes them, too. The port is repaired by [`crate::net`].
 
+use super::kernel::{ASPM, selected};
 use super::system::System;
 use std::fs;
 use std::io;
@@ -48,10 +49,18 @@ pub fn fixes(system: &System<'_>) -> Vec<Fix> {
             vec!["proc/sys/kernel/sched_rt_runtime_us".to_owned()],
             "-1",
         ),
+        (
+            "power of PCIe",
+            "pcie",
+            vec![ASPM.to_owned()],
+            "performance",
+        ),
     ];
     let fixes = all.into_iter().map(|(check, name, paths, wanted)| {
         let values = paths.into_iter().filter_map(|path| {
-            let now = system.read(&path)?;
+            let text = system.read(&path)?;
+            // Some files list all values, with the one that holds in brackets.
+            let now = selected(&text).map_or(text.clone(), str::to_owned);
             (now != wanted).then_some(Value { path, now, wanted })
         });
         Fix {
@@ -111,7 +120,7 @@ impl Fix {
 
 /// The files that `--fix` has written.
 pub fn written(system: &System<'_>) -> Vec<String> {
-    let ours = ["frequency", "throttling"].map(|name| format!("ferrocnc-{name}.conf"));
+    let ours = ["frequency", "throttling", "pcie"].map(|name| format!("ferrocnc-{name}.conf"));
     let names = system.list(FOLDER).into_iter();
     let names = names.filter(|name| ours.contains(name));
     names.map(|name| format!("{FOLDER}/{name}")).collect()
@@ -147,7 +156,8 @@ pub fn before(text: &str) -> impl Iterator<Item = (&str, &str)> {
             .strip_prefix(BEFORE)?
             .trim_start_matches('/')
             .split_once(' ')?;
-        let is_kernels = path.starts_with("sys/devices/") || path.starts_with("proc/sys/");
+        let is_kernels =
+            path.starts_with("sys/devices/") || path.starts_with("proc/sys/") || path == ASPM;
         (is_kernels && !path.contains("..")).then_some((path, value))
     })
 }
@@ -241,6 +251,22 @@ mod tests {
             undo_file(&system, &path).expect("it works");
         }
         assert_eq!(made.files(), untouched);
+    }
+
+    #[test]
+    fn a_value_that_is_one_of_a_list_is_repaired_and_undone_by_its_name() {
+        let made = Made::new("list");
+        made.file(ASPM, "default performance [powersave] powersupersave");
+        let system = made.system();
+        let fix = fixes(&system).pop().expect("a repair");
+        assert_eq!(
+            (fix.check, fix.values[0].now.as_str()),
+            ("power of PCIe", "powersave")
+        );
+        fix.apply(&system).expect("it works");
+        assert_eq!(system.read(ASPM).as_deref(), Some("performance"));
+        undo_file(&system, &written(&system)[0]).expect("it works");
+        assert_eq!(system.read(ASPM).as_deref(), Some("powersave"));
     }
 
     #[test]

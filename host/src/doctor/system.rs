@@ -101,6 +101,16 @@ impl System<'_> {
         }
     }
 
+    /// A process of this name runs.
+    pub fn runs(&self, name: &str) -> bool {
+        self.list("proc").iter().any(|process| {
+            process.bytes().all(|byte| byte.is_ascii_digit())
+                && self
+                    .read(&format!("proc/{process}/comm"))
+                    .is_some_and(|found| found == name)
+        })
+    }
+
     /// The program is where root's programs are looked for.
     pub fn has_program(&self, name: &str) -> bool {
         let path = (self.variable)("PATH").unwrap_or_default();

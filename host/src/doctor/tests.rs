@@ -82,8 +82,14 @@ struct Made {
     energy: &'static str,
     pause: &'static str,
     getcap: &'static str,
+    offloads: &'static str,
+    chip: &'static str,
+    connection: &'static str,
+    method: &'static str,
     ethtool: bool,
     forced: bool,
+    cpu: Option<&'static str>,
+    path: &'static str,
 }
 
 impl Made {
@@ -102,8 +108,14 @@ impl Made {
             energy: "EEE settings for eth1:\n\tEEE status: disabled\n",
             pause: "Pause parameters for eth1:\nAutonegotiate:\ton\nRX:\t\toff\nTX:\t\toff\n",
             getcap: "",
+            offloads: "generic-receive-offload: off\nlarge-receive-offload: off [fixed]\n",
+            chip: "02:00.0 Ethernet controller: Intel Corporation I210 Gigabit (rev 03)\n",
+            connection: "ferrocnc-eth1\n",
+            method: "manual\n",
             ethtool: true,
             forced: false,
+            cpu: None,
+            path: "/usr/local/bin:/usr/bin",
         };
         let elf = |machine: u16| {
             let mut head = vec![0u8; 64];
@@ -180,6 +192,10 @@ impl Made {
                 ("ethtool", Some(&"-c")) if self.ethtool => self.coalescing,
                 ("ethtool", Some(&"--show-eee")) if self.ethtool => self.energy,
                 ("ethtool", Some(&"-a")) if self.ethtool => self.pause,
+                ("ethtool", Some(&"-k")) if self.ethtool => self.offloads,
+                ("lspci", _) => self.chip,
+                ("nmcli", _) if arguments.contains(&"GENERAL.CONNECTION") => self.connection,
+                ("nmcli", _) if arguments.contains(&"ipv4.method") => self.method,
                 _ => return None,
             };
             Some(text.to_owned())
@@ -188,7 +204,12 @@ impl Made {
             root: self.root.clone(),
             root_uid: fs::metadata(self.root.join(RTAPI_APP)).map_or(0, |it| it.uid()),
             run: &run,
-            variable: &|_| self.forced.then(|| "1".to_owned()),
+            variable: &|name| match name {
+                "LINUXCNC_FORCE_REALTIME" => self.forced.then(|| "1".to_owned()),
+                "RTAPI_CPU_NUMBER" => self.cpu.map(str::to_owned),
+                "PATH" => Some(self.path.to_owned()),
+                _ => None,
+            },
         };
         examine(&system, subject)
     }
@@ -213,7 +234,7 @@ fn a_healthy_computer_has_nothing_to_be_told_of() {
     for finding in &report.findings {
         assert_eq!(finding.verdict, Good, "{finding:?}");
     }
-    assert!(report.findings.len() > 28, "{}", report.findings.len());
+    assert!(report.findings.len() > 42, "{}", report.findings.len());
     assert_eq!(report.to_json()["computer"]["processor"], "Made Up 3000");
 }
 
@@ -580,6 +601,157 @@ const FAULTS: &[Fault] = &[
         Note,
         "disable_ipv6=1",
     ),
+    (
+        |m| {
+            m.file(
+                "proc/sysvipc/shm",
+                "key shmid perms\n1212238898 0 600\n7 1 600\n",
+            )
+        },
+        "HAL of an earlier run",
+        Note,
+        "ipcrm -M 0x48414c32",
+    ),
+    (
+        |m| {
+            m.path = "/home/u/linuxcnc/bin:/usr/bin";
+            m.file("home/u/linuxcnc/bin/rtapi_app", "");
+        },
+        "LinuxCNC's build",
+        Bad,
+        "install-module --rip /home/u/linuxcnc",
+    ),
+    (
+        |m| {
+            m.path = "/home/u/linuxcnc/bin:/usr/bin";
+            m.file("home/u/linuxcnc/bin/rtapi_app", "");
+            m.file("home/u/linuxcnc/rtlib/ferrocnc.so", "");
+        },
+        "LinuxCNC's build",
+        Note,
+        "install-module --rip /home/u/linuxcnc",
+    ),
+    (|m| m.cpu = Some("1"), "LinuxCNC's CPU", Note, "unset"),
+    (|m| m.cpu = Some("3"), "LinuxCNC's CPU", Good, ""),
+    (
+        |m| {
+            m.file(
+                "sys/devices/system/cpu/cpuidle/current_driver",
+                "intel_idle",
+            )
+        },
+        "idle states",
+        Note,
+        "restart",
+    ),
+    (
+        |m| {
+            m.file(
+                "sys/devices/system/cpu/cpuidle/current_driver",
+                "intel_idle",
+            );
+            m.file("dev/cpu_dma_latency", "");
+        },
+        "idle states",
+        Good,
+        "",
+    ),
+    (
+        |m| {
+            m.file(
+                "sys/module/pcie_aspm/parameters/policy",
+                "default performance [powersave]",
+            )
+        },
+        "power of PCIe",
+        Note,
+        "pcie_aspm/parameters/policy",
+    ),
+    (
+        |m| m.file("proc/modules", "nvidia_drm 1 0 - Live\nnvidia 2 1 - Live\n"),
+        "graphics driver",
+        Note,
+        "free driver",
+    ),
+    (
+        |m| m.chip = "00:1f.6 Ethernet controller: Intel Corporation I219-LM\n",
+        "chip",
+        Note,
+        "i210",
+    ),
+    (
+        |m| m.chip = "03:00.0 Ethernet controller: Made Up 1\n",
+        "chip",
+        Skipped,
+        "--soak",
+    ),
+    (
+        |m| {
+            m.file("proc/77/comm", "irq/45-eth1");
+            let zeros = " 0".repeat(36);
+            m.file("proc/77/stat", &format!("77 (irq/45-eth1) S{zeros} 10 1"));
+        },
+        "interrupt threads",
+        Note,
+        "chrt -f -p 80 77",
+    ),
+    (
+        |m| m.offloads = "generic-receive-offload: on\nlarge-receive-offload: on [fixed]\n",
+        "offloads",
+        Note,
+        "-K eth1 gro off",
+    ),
+    (
+        |m| m.file("etc/network/interfaces", "iface eth1 inet static\n"),
+        "manager of the port",
+        Bad,
+        "remove `iface eth1`",
+    ),
+    (
+        |m| m.method = "auto\n",
+        "where the address is from",
+        Bad,
+        "ferrocnc net setup eth1 192.168.2.50",
+    ),
+    (
+        |m| {
+            m.connection = "--\n";
+            m.file("etc/network/interfaces", "iface eth1 inet dhcp\n");
+        },
+        "where the address is from",
+        Bad,
+        "ferrocnc net setup eth1 192.168.2.50",
+    ),
+    (
+        |m| m.file("etc/ufw/ufw.conf", "# ufw\nENABLED=yes\n"),
+        "firewall",
+        Note,
+        "ufw allow in on eth1 from 192.168.2.50",
+    ),
+    (
+        |m| m.file("proc/812/comm", "firewalld"),
+        "firewall",
+        Note,
+        "firewall-cmd",
+    ),
+    (
+        |m| m.file("proc/812/comm", "avahi-daemon"),
+        "programs that send there",
+        Note,
+        "ferrocnc net setup eth1 192.168.2.50",
+    ),
+    (
+        |m| {
+            m.file("proc/812/comm", "avahi-daemon");
+            m.file(
+                "etc/avahi/avahi-daemon.conf",
+                "deny-interfaces = eth2, eth1\n",
+            );
+        },
+        "programs that send there",
+        Good,
+        "",
+    ),
 ];
 
 #[test]
@@ -602,7 +774,7 @@ fn every_fault_is_named_by_its_check_with_a_remedy() {
             assert!(!finding.reason.is_empty(), "{finding:?}");
         }
     }
-    assert!(FAULTS.len() >= 50);
+    assert!(FAULTS.len() >= 65, "{}", FAULTS.len());
 }
 
 #[test]
@@ -673,6 +845,22 @@ fn lists_and_masks_are_read_as_the_kernel_writes_them() {
     assert!(all(numbers("")).is_empty());
     assert_eq!(all(mask("00000001,00000005")), [0, 2, 32]);
     assert_eq!(all(mask("f")), [0, 1, 2, 3]);
+}
+
+#[test]
+fn nothing_is_measured_while_linuxcnc_runs() {
+    let made = Made::healthy();
+    let system = System {
+        root: made.root.clone(),
+        ..System::real()
+    };
+    assert_eq!(soak::refusal(&system), None);
+    made.file("proc/812/comm", "rtapi_app\n");
+    let why = soak::refusal(&system).expect("a reason");
+    assert!(
+        why.contains("rtapi_app") && why.contains("end LinuxCNC"),
+        "{why}"
+    );
 }
 
 #[test]

@@ -1,10 +1,10 @@
 //! Sends the command to the board in every period, and the settings it lacks.
 
 use super::Driver;
-use super::tell::Event;
 use crate::blocks::encoder::Encoder;
 use crate::blocks::stepgen::Stepgen;
 use crate::blocks::{Feedback, Period};
+use crate::fault::Fault;
 use crate::settings::{Disarmed, INPUTS, Periods};
 use wire::exchange::{COMMAND_MAX, Command, Latch, REQUEST_OVERHEAD};
 use wire::map::{PROBE_ENABLE, PROBE_INPUT_MASK, PROBE_INVERT};
@@ -75,9 +75,11 @@ impl Driver {
             > REFUSED_TRIES;
         if refused {
             self.notifier.once(
-                Event::Settings,
+                Fault::Settings,
                 format_args!(
-                    "the board refuses its settings and cannot be enabled; compare versions with ferrocnc describe {}",
+                    "{} and cannot be enabled; {} {}",
+                    Fault::Settings.text(),
+                    Fault::Settings.remedy(),
                     self.address.text
                 ),
             );
@@ -155,6 +157,7 @@ impl Driver {
             return false;
         };
         self.times.sent = [(command.sequence, self.times.now()), self.times.sent[0]];
+        self.blocks.exchanges.sent(command.sequence);
         self.link.send(request)
     }
 

@@ -6,6 +6,7 @@ use super::tell::Notifier;
 use crate::address::Address;
 use crate::blocks::encoder::Encoder;
 use crate::blocks::ethernet::Ethernet;
+use crate::blocks::exchange::Exchanges;
 use crate::blocks::gpio;
 use crate::blocks::packets::Packets;
 use crate::blocks::pwm::Pwm;
@@ -33,6 +34,7 @@ pub(super) struct Pins {
     pub(super) enable_request: In<bool>,
     pub(super) enabled: Out<bool>,
     pub(super) fault_reason: Out<u32>,
+    pub(super) fault_code: Out<u32>,
     pub(super) state: Out<u32>,
     pub(super) position_trusted: Out<bool>,
     pub(super) refused_total: Out<u32>,
@@ -94,6 +96,7 @@ impl Pins {
             enable_request: hal.input("enable-request")?,
             enabled: hal.output("enabled")?,
             fault_reason: hal.output("fault-reason")?,
+            fault_code: hal.output("fault-code")?,
             state: hal.output("state")?,
             position_trusted: hal.output("position-trusted")?,
             refused_total: hal.output("refused-total")?,
@@ -135,6 +138,7 @@ impl Blocks {
         let mut ethernet = Ethernet::export(hal)?;
         ethernet.sampled(&describe.state);
         let ways = Ways::export(hal)?;
+        let exchanges = Exchanges::export(hal)?;
         let stepgens = each(
             hal,
             "stepgen",
@@ -182,6 +186,7 @@ impl Blocks {
             wallclock,
             ethernet,
             ways,
+            exchanges,
             stepgens,
             encoders,
             pwms,

@@ -1,8 +1,8 @@
 //! Requests for the session, and the evaluation of the answers.
 
 use super::Driver;
-use super::tell::Event;
 use crate::client::{CHALLENGE_WORDS, Owner, SESSION_WORDS, Session};
+use crate::fault::Fault;
 use crate::hal::Level;
 use crate::keys::Key;
 use std::net::{Ipv4Addr, SocketAddrV4};
@@ -73,21 +73,20 @@ impl Driver {
             || session.channels != self.channels.to_words()
         {
             return self.notifier.once(
-                Event::Stranger,
-                format_args!(
-                    "another board or firmware answers at this address; restart LinuxCNC to use it"
-                ),
+                Fault::Stranger,
+                format_args!("{}; {}", Fault::Stranger.text(), Fault::Stranger.remedy()),
             );
         }
         if session.boot_id != self.session.boot_id {
             self.follow_restart(&session);
-        } else if self.notifier.has_told(Event::Silent) {
+        } else if self.notifier.has_told(Fault::Silent) {
             self.notifier
                 .tell(Level::Info, format_args!("the board answers again"));
         }
         self.pins.reset_reason.set(session.reset_reason);
         self.pins.gate_close.set(session.gate_close);
         self.exchange.opened(session.last_sequence);
+        self.blocks.exchanges.given_up();
         self.times.opened();
         self.blocks.forget_latches();
         self.session.opened(session.token);
@@ -112,8 +111,12 @@ impl Driver {
     pub(super) fn tell_restart(&mut self, why: ResetReason) {
         self.condition.restarted = true;
         self.notifier.once(
-            Event::Restarted,
-            format_args!("the board has restarted (reason: {why}); home and enable again when the machine is in order"),
+            Fault::Restarted,
+            format_args!(
+                "{} (reason: {why}); {}",
+                Fault::Restarted.text(),
+                Fault::Restarted.remedy()
+            ),
         );
     }
 
@@ -123,7 +126,7 @@ impl Driver {
             return;
         }
         if self.session.foreign_owner.replace((ip, port)) == Some((ip, port))
-            && self.notifier.has_told(Event::Owned)
+            && self.notifier.has_told(Fault::Owned)
         {
             return;
         }
@@ -132,8 +135,11 @@ impl Driver {
             self.link.local(),
         );
         self.notifier.once(
-            Event::Owned,
-            format_args!("the board is driven by {there} now; stop LinuxCNC there to take it back"),
+            Fault::Owned,
+            format_args!(
+                "the board is driven by {there} now; {}",
+                Fault::Owned.remedy()
+            ),
         );
     }
 }

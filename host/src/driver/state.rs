@@ -3,6 +3,7 @@
 use crate::blocks::arming::ArmRequest;
 use crate::blocks::encoder::Encoder;
 use crate::blocks::ethernet::Ethernet;
+use crate::blocks::exchange::Exchanges;
 use crate::blocks::gpio;
 use crate::blocks::packets::Packets;
 use crate::blocks::pwm::Pwm;
@@ -27,6 +28,7 @@ pub(super) struct Blocks {
     pub(super) wallclock: Wallclock,
     pub(super) ethernet: Ethernet,
     pub(super) ways: Ways,
+    pub(super) exchanges: Exchanges,
     pub(super) stepgens: Vec<Stepgen>,
     pub(super) encoders: Vec<Encoder>,
     pub(super) pwms: Vec<Pwm>,

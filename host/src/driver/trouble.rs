@@ -1,9 +1,9 @@
 //! The reaction to missing answers, a late thread, a stop of another board of the group, and a
 //! change of `io-error` by hand.
 
-use super::tell::Event;
 use super::{Driver, Phase};
 use crate::blocks::Period;
+use crate::fault::Fault;
 use crate::hal::Level;
 use wire::exchange::Status;
 use wire::{FaultReason, State};
@@ -53,28 +53,30 @@ impl Driver {
         let others = self.stops_others();
         if held_up && was_live {
             self.notifier.once(
-                Event::HeldUp,
+                Fault::HeldUp,
                 format_args!(
-                    "the servo thread came {:.1} ms late, the watchdog waits {:.1} ms: the board stops the machine{others}; \
-                     find what holds the thread up, then enable again",
+                    "the servo thread came {:.1} ms late, the watchdog waits {:.1} ms: the board stops the machine{others}; {}",
                     self.times.held_up as f64 * 1e-6,
                     timeout as f64 * 1e-6,
+                    Fault::HeldUp.remedy(),
                 ),
             );
         } else if was_live {
             self.notifier.once(
-                Event::Silent,
+                Fault::Silent,
                 format_args!(
-                    "too many answers missing, {} in a row: the board's watchdog stops the machine{others}; check cable and power of the board, then enable again",
-                    self.exchange.missing
+                    "too many answers missing, {} in a row: the board's watchdog stops the machine{others}; {}, then enable again",
+                    self.exchange.missing,
+                    Fault::Silent.remedy()
                 ),
             );
         } else {
             self.notifier.once(
-                Event::Silent,
+                Fault::Silent,
                 format_args!(
-                    "too many answers missing, {} in a row; check cable and power of the board",
-                    self.exchange.missing
+                    "too many answers missing, {} in a row; {}",
+                    self.exchange.missing,
+                    Fault::Silent.remedy()
                 ),
             );
         }
@@ -251,6 +253,18 @@ impl Driver {
         self.pins.fault_reason.set(code);
     }
 
+    /// What the operator was told last; if nothing, why the machine stopped.
+    pub(super) fn publish_fault(&self) {
+        let reason = self.condition.reason;
+        let fault = match (self.notifier.latest(), self.group.stopped_by, reason) {
+            (Some(told), _, _) => told,
+            (None, _, _) if self.condition.live => Fault::Board(FaultReason::None),
+            (None, Some(_), FaultReason::None | FaultReason::HostDisable) => Fault::Group,
+            (None, _, reason) => Fault::Board(reason),
+        };
+        self.pins.fault_code.set(fault.code());
+    }
+
     fn tell_reason(&mut self) {
         let reason = self.condition.reason;
         let known = match reason {
@@ -258,10 +272,10 @@ impl Driver {
             FaultReason::HostDisable => true,
             // The board's view of the silence.
             FaultReason::Watchdog | FaultReason::SessionLost | FaultReason::LinkDown => {
-                self.notifier.has_told(Event::Silent) || self.notifier.has_told(Event::HeldUp)
+                self.notifier.has_told(Fault::Silent) || self.notifier.has_told(Fault::HeldUp)
             }
             // The reason of the restart has just been told.
-            FaultReason::FirmwareFault => self.notifier.has_told(Event::Restarted),
+            FaultReason::FirmwareFault => self.notifier.has_told(Fault::Restarted),
             FaultReason::ExternalReset
             | FaultReason::JobUnderrun
             | FaultReason::AbiMismatch
@@ -272,7 +286,7 @@ impl Driver {
         }
         let others = self.stops_others();
         self.notifier.once(
-            Event::Stopped(reason),
+            Fault::Board(reason),
             format_args!("the board stopped the machine{others}: {reason}; remove the cause, then enable again"),
         );
     }

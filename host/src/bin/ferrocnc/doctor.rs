@@ -1,6 +1,6 @@
 //! `ferrocnc doctor`: what of this computer makes exchanges late or loses them.
 
-use crate::{consent, findings};
+use crate::{consent, findings, soak};
 use anyhow::{Result, bail};
 use clap::Args;
 use ferrocnc::doctor::fix::{Fix, before, fixes, undo_file, written};
@@ -19,8 +19,16 @@ pub(crate) struct Doctor {
     /// Write the report there as well, without MAC addresses; JSON if the name ends in .json.
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
-    /// Repair CPU frequency and real-time throttling, now and for every start of the computer; asks
-    /// for each. `ferrocnc net setup` repairs the port.
+    /// Measure the exchange with the board, a thousand times a second for so many seconds (60), as
+    /// LinuxCNC's servo thread does. The board is taken for that time, and nothing moves.
+    #[arg(long, value_name = "SECONDS", num_args = 0..=1, default_missing_value = "60",
+          requires = "address", conflicts_with_all = ["interface", "fix", "undo"])]
+    soak: Option<f64>,
+    /// Draw the soak there: SVG, or PNG if the name ends in .png.
+    #[arg(long, value_name = "FILE", requires = "soak")]
+    plot: Option<PathBuf>,
+    /// Repair CPU frequency, real-time throttling and power of PCIe, now and for every start of the
+    /// computer; asks for each. `ferrocnc net setup` repairs the port.
     #[arg(long, conflicts_with_all = ["address", "interface", "report"])]
     fix: bool,
     /// Take back what --fix did; asks for each.
@@ -41,7 +49,16 @@ pub(crate) fn run(arguments: &Doctor, as_json: bool) -> Result<()> {
         (_, true) => return undo(&system, arguments.yes),
         (false, false) => {}
     }
-    let client = arguments.address.as_deref().map(crate::open).transpose()?;
+    let mut client = arguments.address.as_deref().map(crate::open).transpose()?;
+    if let (Some(seconds), Some(client)) = (arguments.soak, client.take()) {
+        let options = soak::Options {
+            seconds,
+            plot: arguments.plot.as_deref(),
+            report: arguments.report.as_deref(),
+            as_json,
+        };
+        return soak::run(&system, client, &options);
+    }
     let subject = Subject {
         board: client.as_ref().map(|client| *client.address().socket.ip()),
         interface: arguments.interface.clone(),
@@ -57,7 +74,9 @@ fn fix(system: &System<'_>, yes: bool) -> Result<()> {
     consent::needs_root("values of the kernel", "doctor --fix")?;
     let all = fixes(system);
     if all.is_empty() {
-        println!("nothing to repair: CPU frequency and real-time throttling are as they should be");
+        println!(
+            "nothing to repair: CPU frequency, real-time throttling and power of PCIe are as they should be"
+        );
     }
     for fix in &all {
         print!("{}", to_text(fix));

@@ -21,9 +21,11 @@ mod manual;
 mod net;
 #[cfg(test)]
 mod pages;
+mod panel;
 mod progress;
 mod selftest;
 mod set;
+mod soak;
 mod text;
 mod update;
 mod watch;
@@ -106,6 +108,8 @@ enum ToolCommand {
     /// An Ethernet port of this computer, given to the board so that it lasts, and taken back.
     #[command(subcommand)]
     Net(net::NetCommand),
+    /// A panel for LinuxCNC's screen that says what is wrong with a board and what to do about it.
+    Panel(panel::Panel),
     /// A new bitstream over the network: written, verified, selected for the next power-up.
     Update(update::Update),
     /// The LinuxCNC driver, put where `loadrt ferrocnc` finds it: in LinuxCNC as installed, or in a
@@ -171,6 +175,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         ToolCommand::Selftest(arguments) => selftest::run(arguments, json),
         ToolCommand::Doctor(arguments) => doctor::run(arguments, json),
         ToolCommand::Net(command) => net::run(command, json),
+        ToolCommand::Panel(arguments) => panel::run(arguments, json),
         ToolCommand::Update(arguments) => update::run(arguments, json),
         ToolCommand::InstallModule(arguments) => install_module::run(arguments, json),
         ToolCommand::Flash { what } => flash::run(what, json),
