@@ -17,6 +17,7 @@ mod install_module;
 mod job;
 mod key;
 mod log;
+mod machine;
 mod manual;
 mod net;
 #[cfg(test)]
@@ -56,6 +57,10 @@ enum ToolCommand {
     /// Board files: write, check, show, draw and import them. No board is needed.
     #[command(subcommand)]
     Config(config::ConfigCommand),
+    /// A machine for LinuxCNC: its board file, HAL file and INI file of one machine.toml. No board
+    /// is needed.
+    #[command(subcommand)]
+    Machine(machine::MachineCommand),
     /// Jobs: make them of drawings and G-code, draw and check them; send them to a board that
     /// executes them by itself.
     #[command(subcommand)]
@@ -154,6 +159,7 @@ fn run(arguments: &Arguments) -> Result<()> {
     let _ = KEY.set(Keys::named(arguments.key.as_deref()));
     match &arguments.command {
         ToolCommand::Config(command) => config::run(command, json),
+        ToolCommand::Machine(command) => machine::run(command, json),
         ToolCommand::Job(command) => job::run(command, json),
         ToolCommand::Describe { address } => describe::run(&mut open(address)?, json),
         ToolCommand::Watch {
