@@ -20,7 +20,7 @@ pub mod platform;
 pub mod schema;
 pub mod show;
 pub mod source;
-mod tree;
+pub mod tree;
 pub mod write;
 
 pub use board::{Board, Channel, Class};

@@ -167,7 +167,8 @@ pub enum Level {
 }
 
 impl Level {
-    pub(crate) fn of(text: Option<&str>) -> Option<Self> {
+    /// Of the word in a file.
+    pub fn of(text: Option<&str>) -> Option<Self> {
         match text {
             Some("low") => Some(Level::Low),
             Some("high") => Some(Level::High),

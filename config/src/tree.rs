@@ -8,17 +8,24 @@ use crate::error::{Error, Place, Report};
 /// A value and where it begins.
 #[derive(Clone, Debug)]
 pub struct Node {
+    /// Where it begins, if it can be told.
     pub place: Option<Place>,
+    /// What it is.
     pub value: Value,
 }
 
 /// What TOML and JSON can say, less what no board file needs.
 #[derive(Clone, Debug)]
 pub enum Value {
+    /// In quotes.
     Text(String),
+    /// A whole number.
     Integer(i64),
+    /// True or false.
     Flag(bool),
+    /// In brackets.
     List(Vec<Node>),
+    /// Keys, where each stands, and its value.
     Table(Vec<(String, Option<Place>, Node)>),
     /// A float, a date, a null: kept as it is written, accepted nowhere.
     Other(String),
@@ -44,8 +51,11 @@ impl Value {
 /// One key of a table.
 #[derive(Debug)]
 pub struct Key {
+    /// As it is written.
     pub name: &'static str,
+    /// It must be there.
     pub required: bool,
+    /// What it may be.
     pub kind: Kind,
     /// What it is, as a phrase: "write {about}" is the remedy when it is missing or wrong.
     pub about: &'static str,
@@ -54,23 +64,33 @@ pub struct Key {
 /// What a key's value may be.
 #[derive(Debug)]
 pub enum Kind {
+    /// Any text in quotes.
     Text,
     /// A text with a pattern that an editor can check; the reader checks it with a better message.
     Shaped {
+        /// A regular expression.
         pattern: &'static str,
+        /// How long it may be.
         most: usize,
     },
+    /// A whole number from `min` to `max`.
     Integer {
+        /// The least.
         min: i64,
+        /// The greatest.
         max: i64,
     },
+    /// One of these words.
     OneOf(&'static [&'static str]),
+    /// True or false.
     Flag,
     /// Whole or not.
     Number,
     /// The caller checks it.
     Any,
+    /// A list of texts.
     Texts,
+    /// A table with these keys.
     Table(&'static [Key]),
     /// An array of tables, and how many there may be.
     Tables(&'static [Key], usize),
@@ -111,7 +131,9 @@ pub struct Table<'n> {
 /// A table together with its path, as in `stepgen[1]`.
 #[derive(Clone)]
 pub struct At<'n> {
+    /// The table.
     pub table: Table<'n>,
+    /// Its path; empty for the whole file.
     pub path: String,
 }
 
@@ -238,6 +260,11 @@ impl<'n> At<'n> {
             .iter()
             .find(|(key, _, _)| key == name)
             .map(|(_, _, node)| node)
+    }
+
+    /// The file as it was named to us.
+    pub fn file(&self) -> &'n str {
+        self.table.file
     }
 
     /// Path of one of our keys.

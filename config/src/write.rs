@@ -65,7 +65,8 @@ pub fn to_toml(board: &Board, notes: &[String]) -> String {
     out
 }
 
-fn channel(out: &mut String, class: Class, channel: &Channel) {
+/// Adds the table of one channel.
+pub fn channel(out: &mut String, class: Class, channel: &Channel) {
     let _ = write!(
         out,
         "\n[[{}]]\nname = {}\n",

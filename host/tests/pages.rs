@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// What runs without a board.
-const HERE: [&str; 7] = [
+const HERE: [&str; 8] = [
+    "ferrocnc machine ",
     "ferrocnc config new ",
     "ferrocnc config check ",
     "ferrocnc config show ",
@@ -56,6 +57,11 @@ fn run(page: &str) -> usize {
 #[test]
 fn the_first_machine_is_described_checked_and_drawn() {
     assert_eq!(run("first-machine"), 4);
+}
+
+#[test]
+fn a_machine_of_one_file_is_made_checked_and_written() {
+    assert_eq!(run("machine"), 4);
 }
 
 #[test]

@@ -36,7 +36,8 @@ const HERE: [&str; 15] = [
 ];
 
 /// Commands that another test runs: their beginning, and the test.
-const ELSEWHERE: [(&str, &str); 8] = [
+const ELSEWHERE: [(&str, &str); 9] = [
+    ("ferrocnc machine ", "host/tests/pages.rs"),
     ("ferrocnc config new ", "host/tests/pages.rs"),
     ("ferrocnc config check ", "host/tests/pages.rs"),
     ("ferrocnc config show ", "host/tests/pages.rs"),
@@ -91,10 +92,12 @@ fn line(page: &str, begins: &str) -> String {
     found.swap_remove(0)
 }
 
-const PAGES: [&str; 6] = [
+const PAGES: [&str; 8] = [
     "breakout.md",
+    "first-light.md",
     "first-machine.md",
     "jobs.md",
+    "machine.md",
     "plotter.md",
     "troubleshooting.md",
     "tuning.md",

@@ -242,12 +242,8 @@ fn exported(board: &Board, scheme: &str) -> Result<Known> {
     let scheme = parsed.with_context(|| format!("names={scheme} names nothing"))?;
     let identity = identity(board)?;
     scheme.check(0, &identity)?;
-    // The driver needs a socket; this one sends nothing.
-    let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
-    let address = address::parse_list("127.0.0.1")?.swap_remove(0);
     let mut hal = FakeHal::new();
-    let say = hal.messenger();
-    let driver = Driver::export(&mut hal, 0, address, &identity, Link::new(socket)?, say)?;
+    let driver = driver(&mut hal, &identity)?;
     names::export(&scheme, &mut hal, 0, &identity, &driver)?;
     let own = |name: &str| name.starts_with("ferrocnc.");
     let second = hal.aliases_of().filter(|(_, of)| own(of));
@@ -262,6 +258,31 @@ fn exported(board: &Board, scheme: &str) -> Result<Known> {
         }
     }
     Ok(Known { all, second })
+}
+
+/// The driver's pins and parameters for a board, in a HAL of its own.
+fn driver(hal: &mut FakeHal, identity: &Identity) -> Result<Driver> {
+    // The driver needs a socket; this one sends nothing.
+    let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
+    let address = address::parse_list("127.0.0.1")?.swap_remove(0);
+    let say = hal.messenger();
+    Ok(Driver::export(
+        hal,
+        0,
+        address,
+        identity,
+        Link::new(socket)?,
+        say,
+    )?)
+}
+
+/// The names that a board of this configuration has in HAL, without those of other projects.
+#[cfg(test)]
+pub(crate) fn own_names(board: &Board) -> Result<BTreeSet<String>> {
+    let mut hal = FakeHal::new();
+    driver(&mut hal, &identity(board)?)?;
+    let all = hal.list().chain(hal.aliases());
+    Ok(all.map(|(name, _, _)| name.to_owned()).collect())
 }
 
 /// What a board of this configuration would say of itself.

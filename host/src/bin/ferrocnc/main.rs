@@ -17,6 +17,7 @@ mod install_module;
 mod job;
 mod key;
 mod log;
+mod machine;
 mod manual;
 mod net;
 #[cfg(test)]
@@ -59,6 +60,10 @@ enum ToolCommand {
     /// Board files: write, check, show, draw and import them. No board is needed.
     #[command(subcommand)]
     Config(config::ConfigCommand),
+    /// A machine for LinuxCNC: its board file, HAL file and INI file of one machine.toml. No board
+    /// is needed.
+    #[command(subcommand)]
+    Machine(machine::MachineCommand),
     /// Jobs: make them of drawings and G-code, draw and check them; send them to a board that
     /// executes them by itself.
     #[command(subcommand)]
@@ -157,6 +162,7 @@ fn run(arguments: &Arguments) -> Result<()> {
     let _ = KEY.set(Keys::named(arguments.key.as_deref()));
     match &arguments.command {
         ToolCommand::Config(command) => config::run(command, json),
+        ToolCommand::Machine(command) => machine::run(command, json),
         ToolCommand::Job(command) => job::run(command, json),
         ToolCommand::Words(arguments) => words::run(arguments, json),
         ToolCommand::Describe { address } => describe::run(&mut open(address)?, json),

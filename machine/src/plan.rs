@@ -1,0 +1,285 @@
+//! What is to be written, and how the files that are there change. It writes nothing.
+
+use crate::board::propose;
+use crate::channels;
+use crate::check::check;
+use crate::hal;
+use crate::ini::edit::{Conflict, Edited, edit};
+use crate::ini::{
+    CUSTOM_HAL, CUSTOM_POST_GUI_HAL, Entry, MAIN_HAL, POST_GUI_HAL, TOOL_TABLE, wanted,
+};
+use crate::model::{BoardSource, CncMachine};
+use ferrocnc_config::board::Platforms;
+use ferrocnc_config::{Board, Error, Place, Report};
+use similar::TextDiff;
+use std::fmt::Write as _;
+
+/// The files that are there.
+pub trait Files {
+    /// The text of the file with this name, in the machine's folder; nothing if there is none.
+    fn text(&self, name: &str) -> Result<Option<String>, Error>;
+    /// A board file that the machine names, read.
+    fn board(&self, name: &str) -> Result<Board, Error>;
+}
+
+/// A file that is to be written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Change {
+    /// Its name, in the machine's folder.
+    pub name: String,
+    /// What is there.
+    pub before: Option<String>,
+    /// What is to be there.
+    pub after: String,
+}
+
+impl Change {
+    /// The difference, as `diff -u` shows it.
+    pub fn diff(&self) -> String {
+        let before = self.before.as_deref().unwrap_or_default();
+        let diff = TextDiff::from_lines(before, &self.after);
+        let old = match self.before {
+            Some(_) => &self.name,
+            None => "/dev/null",
+        };
+        diff.unified_diff()
+            .context_radius(3)
+            .header(old, &self.name)
+            .to_string()
+    }
+}
+
+/// What is to be written.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// Only files that change, in the order in which they are written.
+    pub changes: Vec<Change>,
+    /// The board, as its file will describe it.
+    pub board: Board,
+    /// What a person should know.
+    pub notes: Vec<String>,
+    /// Lines of the user's that have the last word.
+    pub conflicts: Vec<Error>,
+}
+
+/// Makes the plan, or says everything that is in the way. With `discard`, lines that were written
+/// into generated files are lost.
+pub fn plan(
+    machine: &CncMachine,
+    files: &dyn Files,
+    platforms: &dyn Platforms,
+    discard: bool,
+) -> Result<Plan, Vec<Error>> {
+    let found = check(machine);
+    if !found.bad.is_empty() {
+        return Err(found.bad);
+    }
+    let mut plan = board(machine, files, platforms).map_err(|error| vec![error])?;
+    let missing = channels::missing(machine, &plan.board);
+    if !missing.is_empty() {
+        return Err(missing);
+    }
+    write_files(machine, files, discard, &mut plan).map_err(|error| vec![error])?;
+    plan.changes
+        .retain(|change| change.before.as_ref() != Some(&change.after));
+    Ok(plan)
+}
+
+/// The board, and its file if it is ours to write.
+fn board(
+    machine: &CncMachine,
+    files: &dyn Files,
+    platforms: &dyn Platforms,
+) -> Result<Plan, Error> {
+    let mut changes = Vec::new();
+    let (board, notes) = match &machine.board.source {
+        BoardSource::File(file) => (files.board(file)?, Vec::new()),
+        BoardSource::Platform(platform, modified) => {
+            let name = format!("{}.toml", machine.name);
+            if machine.file.rsplit('/').next() == Some(&name) {
+                return Err(machine.error(
+                    "name",
+                    format!("{:?}", machine.name),
+                    format!("would make {name} the board file, and that is this file"),
+                    "give the machine, or this file, another name: machine.toml",
+                ));
+            }
+            let there = files.text(&name)?;
+            let there = there.as_deref();
+            let made = propose(
+                machine,
+                platform,
+                modified.as_deref(),
+                &name,
+                there,
+                platforms,
+            )?;
+            changes.push(Change {
+                name,
+                before: there.map(str::to_owned),
+                after: made.text,
+            });
+            (made.board, made.notes)
+        }
+    };
+    Ok(Plan {
+        changes,
+        board,
+        notes,
+        conflicts: Vec::new(),
+    })
+}
+
+fn write_files(
+    machine: &CncMachine,
+    files: &dyn Files,
+    discard: bool,
+    plan: &mut Plan,
+) -> Result<(), Error> {
+    let main = files.text(MAIN_HAL)?;
+    let before = entries(MAIN_HAL, main.as_deref(), discard)?;
+    let ini = format!("{}.ini", machine.name);
+    let there = files.text(&ini)?;
+    let text = there.as_deref().unwrap_or_default();
+    let Edited {
+        text,
+        ours,
+        conflicts,
+    } = edit(text, &before, &wanted(machine));
+    let told = conflicts.iter().map(|it| conflict(&ini, it));
+    plan.conflicts.extend(told);
+    plan.changes.push(Change {
+        name: MAIN_HAL.to_owned(),
+        before: main,
+        after: generated(machine, &(hal::main(machine) + &record(&ini, &ours))),
+    });
+    if let Some(body) = hal::post_gui(machine) {
+        let there = files.text(POST_GUI_HAL)?;
+        entries(POST_GUI_HAL, there.as_deref(), discard)?;
+        plan.changes.push(Change {
+            name: POST_GUI_HAL.to_owned(),
+            before: there,
+            after: generated(machine, &body),
+        });
+    }
+    for (name, text) in [
+        (
+            CUSTOM_HAL,
+            "# Your own HAL lines, after ferrocnc.hal. `ferrocnc machine write` never writes this file again.\n",
+        ),
+        (
+            CUSTOM_POST_GUI_HAL,
+            "# Your own HAL lines, when the user interface runs. `ferrocnc machine write` never writes this file\n# again.\n",
+        ),
+        (TOOL_TABLE, "T1 P1 D3.0 ;the first tool\n"),
+    ] {
+        if files.text(name)?.is_none() {
+            plan.changes.push(Change {
+                name: name.to_owned(),
+                before: None,
+                after: text.to_owned(),
+            });
+        }
+    }
+    // Last: without it nothing uses the others.
+    plan.changes.push(Change {
+        name: ini,
+        before: there,
+        after: text,
+    });
+    Ok(())
+}
+
+/// How a generated file begins.
+const HEAD: &str = "# Generated by `ferrocnc machine write` from ";
+/// Its second line: the sum of what follows.
+const SUM: &str = "# sum ";
+/// Before the lines that are ours in the INI file.
+const RECORD: &str = "# By these lines `ferrocnc machine write` knows what it wrote into ";
+
+fn generated(machine: &CncMachine, body: &str) -> String {
+    let file = machine.file.rsplit('/').next().unwrap_or_default();
+    let rest = format!(
+        "# Do not edit it: it is written anew. Your own lines go into custom.hal.\n\n{body}"
+    );
+    format!(
+        "{HEAD}{file}.\n{SUM}{:08x}\n{rest}",
+        wire::crc::crc32(rest.as_bytes())
+    )
+}
+
+fn record(ini: &str, ours: &[Entry]) -> String {
+    let mut text = format!("\n{RECORD}{ini}:\n");
+    for entry in ours {
+        let _ = writeln!(text, "# [{}]{}", entry.section, entry.line());
+    }
+    text
+}
+
+/// What a generated file says is ours in the INI file. An error if it is not as it was generated.
+fn entries(name: &str, text: Option<&str>, discard: bool) -> Result<Vec<Entry>, Error> {
+    let Some(text) = text else {
+        return Ok(Vec::new());
+    };
+    let error = |line: usize, problem: &str, remedy: String| {
+        Error::from(Report {
+            file: name.to_owned(),
+            place: Some(Place { line, column: 1 }),
+            key: String::new(),
+            value: String::new(),
+            problem: problem.to_owned(),
+            remedy,
+        })
+    };
+    let after_head = text
+        .strip_prefix(HEAD)
+        .and_then(|rest| rest.split_once('\n'))
+        .and_then(|(_, rest)| rest.strip_prefix(SUM))
+        .and_then(|rest| rest.split_once('\n'));
+    let Some((sum, rest)) = after_head else {
+        return Err(error(
+            1,
+            "was not written by `ferrocnc machine write`",
+            format!("move {name} away; its lines may go into {CUSTOM_HAL}"),
+        ));
+    };
+    if !discard && sum != format!("{:08x}", wire::crc::crc32(rest.as_bytes())) {
+        return Err(error(
+            2,
+            "was edited since it was generated",
+            format!(
+                "move your lines into {CUSTOM_HAL}, then say --discard-edits, which writes {name} anew"
+            ),
+        ));
+    }
+    let recorded = rest.split_once(RECORD).map_or("", |(_, lines)| lines);
+    let entry = |line: &str| {
+        let (section, rest) = line.strip_prefix("# [")?.split_once(']')?;
+        let (key, value) = rest.split_once(" = ")?;
+        Some(Entry {
+            section: section.to_owned(),
+            key: key.to_owned(),
+            value: value.to_owned(),
+        })
+    };
+    Ok(recorded.lines().skip(1).filter_map(entry).collect())
+}
+
+fn conflict(ini: &str, conflict: &Conflict) -> Error {
+    let Entry {
+        section,
+        key,
+        value,
+    } = &conflict.wanted;
+    Error::from(Report {
+        file: ini.to_owned(),
+        place: Some(Place {
+            line: conflict.line,
+            column: 1,
+        }),
+        key: format!("[{section}]{key}"),
+        value: conflict.says.clone(),
+        problem: format!("is yours and stays; the machine's file makes it {value}"),
+        remedy: "take the line away to have that, or change the machine's file".to_owned(),
+    })
+}
