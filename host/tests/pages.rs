@@ -7,12 +7,13 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// What runs without a board.
-const HERE: [&str; 8] = [
+const HERE: [&str; 9] = [
     "ferrocnc machine ",
     "ferrocnc config new ",
     "ferrocnc config check ",
     "ferrocnc config show ",
     "ferrocnc config pinout ",
+    "ferrocnc config first-light ",
     "ferrocnc job prepare ",
     "ferrocnc job check ",
     "ferrocnc job preview ",
@@ -62,6 +63,28 @@ fn the_first_machine_is_described_checked_and_drawn() {
 #[test]
 fn a_machine_of_one_file_is_made_checked_and_written() {
     assert_eq!(run("machine"), 4);
+}
+
+#[test]
+fn the_first_light_of_a_board_is_written() {
+    assert_eq!(run("first-light"), 1);
+}
+
+/// The page names a folder of the reader's.
+#[test]
+fn a_panel_is_written() {
+    let folder = checkout("panel");
+    for kind in ["pyvcp", "qtvcp"] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_ferrocnc"));
+        command.args(["panel", kind]).arg(&folder);
+        let done = command.output().expect("the tool starts");
+        let said = String::from_utf8_lossy(&done.stdout).into_owned();
+        assert!(done.status.success(), "{kind}: {done:?}");
+        let written = fs::read_dir(&folder).expect("a folder").count();
+        // Three links are there before.
+        assert!(written > 3, "{kind}: {said}");
+    }
+    let _ = fs::remove_dir_all(&folder);
 }
 
 #[test]

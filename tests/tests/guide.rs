@@ -36,12 +36,19 @@ const HERE: [&str; 15] = [
 ];
 
 /// Commands that another test runs: their beginning, and the test.
-const ELSEWHERE: [(&str, &str); 9] = [
+const ELSEWHERE: [(&str, &str); 13] = [
     ("ferrocnc machine ", "host/tests/pages.rs"),
     ("ferrocnc config new ", "host/tests/pages.rs"),
     ("ferrocnc config check ", "host/tests/pages.rs"),
     ("ferrocnc config show ", "host/tests/pages.rs"),
     ("ferrocnc config pinout ", "host/tests/pages.rs"),
+    ("ferrocnc config first-light ", "host/tests/pages.rs"),
+    ("ferrocnc panel ", "host/tests/pages.rs"),
+    ("sudo ferrocnc doctor ", "host/tests/soak.rs"),
+    (
+        "setp ferrocnc.0.exchange.reset ",
+        "host/tests/exchange_times.rs",
+    ),
     ("ferrocnc job prepare ", "host/tests/pages.rs"),
     ("ferrocnc job check ", "host/tests/pages.rs"),
     ("ferrocnc job preview ", "host/tests/pages.rs"),
@@ -49,7 +56,11 @@ const ELSEWHERE: [(&str, &str); 9] = [
 ];
 
 /// Commands that no test runs as they are printed: their beginning, why, and what is checked.
-const NOT_HERE: [(&str, &str); 4] = [
+const NOT_HERE: [(&str, &str); 5] = [
+    (
+        "halrun -I mill6-first-light.hal",
+        "it waits at a prompt; tests/tests/twin.rs gives a file like it and what it says to halrun",
+    ),
     (
         "cargo xtask setup",
         "it installs packages; every level of the pyramid begins with it, xtask parses the line",
