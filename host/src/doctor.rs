@@ -2,8 +2,8 @@
 //!
 //! Every check reads: files below `/proc`, `/sys` and a few others, and what `ip`, `ethtool` and
 //! `getcap` print. It needs no root, changes nothing, and takes no session, so it works while
-//! LinuxCNC drives a board; but for the soak, which takes the board. A [`Finding`] says the fact, a verdict, its reason, what to do now, and
-//! what makes that outlast a restart of the computer.
+//! LinuxCNC drives a board; but for the soak, which takes the board. A [`Finding`] says the fact, a
+//! verdict, its reason, what to do now, and what makes that outlast a restart of the computer.
 //!
 //! | module | |
 //! |---|---|

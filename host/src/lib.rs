@@ -67,11 +67,12 @@
 //! | `apply-delay-ns` | u32 param | commands take effect this long after `write`, on all boards at once; 0: on arrival |
 //!
 //! then [`blocks::packets`], [`blocks::watchdog`], [`blocks::wallclock`], [`blocks::ethernet`],
-//! [`blocks::ways`], [`blocks::exchange`], and per channel [`blocks::stepgen`], [`blocks::encoder`], [`blocks::pwm`],
-//! [`blocks::gpio`], with the board's own name for the channel where it has one and two digits
-//! where not. If a pin's name would be longer than 41 characters, it has its channel's two digits
-//! instead: `encoder.05.position-latched` of the encoder `spindle`. `docs/pins.md` has them all in
-//! one table, beside what other drivers call them.
+//! [`blocks::ways`], [`blocks::exchange`], and per channel [`blocks::stepgen`],
+//! [`blocks::encoder`], [`blocks::pwm`], [`blocks::gpio`], with the board's own name for the
+//! channel where it has one and two digits where not. If a pin's name would be longer than 41
+//! characters, it has its channel's two digits instead: `encoder.05.position-latched` of the
+//! encoder `spindle`. `docs/pins.md` has them all in one table, beside what other drivers call
+//! them.
 #![deny(unsafe_op_in_unsafe_fn)]
 
 pub mod address;

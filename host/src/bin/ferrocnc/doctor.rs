@@ -49,8 +49,11 @@ pub(crate) fn run(arguments: &Doctor, as_json: bool) -> Result<()> {
         (_, true) => return undo(&system, arguments.yes),
         (false, false) => {}
     }
-    let mut client = arguments.address.as_deref().map(crate::open).transpose()?;
-    if let (Some(seconds), Some(client)) = (arguments.soak, client.take()) {
+    let client = arguments.address.as_deref().map(crate::open).transpose()?;
+    if let Some(seconds) = arguments.soak {
+        let Some(client) = client else {
+            bail!("name the board to measure: ferrocnc doctor BOARD --soak");
+        };
         let options = soak::Options {
             seconds,
             plot: arguments.plot.as_deref(),
