@@ -113,7 +113,7 @@ fn are_in_order(lines: &[&str], text: &str) -> bool {
 
 proptest! {
     // A case plans up to eight machines.
-    #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 16, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn no_line_of_the_users_is_lost(
