@@ -146,9 +146,13 @@ impl Executor {
             }
             fpgag::FpgagCommand::Gcode => {
                 let limits = limits(machine, &self.path.limits(), self.board.clock_hz);
-                if !self.busy() && self.words.is_none() {
-                    let look = self.board.inside.look(out);
-                    self.known.at(look.ok_or(Status::NotNow)?.positions);
+                let opens = matches!(self.phase, Phase::Open(_));
+                if self.words.is_none() && (opens || !self.busy()) {
+                    // Right behind START the board is being armed: the axes are where they were.
+                    if !opens {
+                        let look = self.board.inside.look(out);
+                        self.known.at(look.ok_or(Status::NotNow)?.positions);
+                    }
                     self.words = Some(Words::new(limits, self.known.places()));
                 }
                 let queue = self.words.as_mut().ok_or(Status::NotNow)?;

@@ -83,6 +83,22 @@ fn moves_are_executed_to_the_exact_step() {
 }
 
 #[test]
+fn words_right_behind_start_wait_until_the_board_is_armed() {
+    let mut rig = Rig::plotter();
+    assert_eq!(say(&mut rig, START, 0, &[]), 0);
+    assert_eq!(say(&mut rig, GCODE, 0, &there(300, false).words()), 0);
+    assert_eq!(rig.pins(), [0; 3], "not before it is armed");
+    settle(&mut rig);
+    assert_eq!(rig.pins(), [700, 0, 0]);
+    // The next ones find the queue that was there.
+    assert_eq!(say(&mut rig, GCODE, 0, &there(40, true).words()), 0);
+    settle(&mut rig);
+    assert_eq!(rig.pins(), [700 - 180, 0, 0]);
+    assert_eq!(rig.command(0), Status::Normal);
+    assert_eq!(rig.finish().end, End::Stopped);
+}
+
+#[test]
 fn stop_keeps_the_queue_and_start_goes_on() {
     let mut rig = Rig::plotter();
     say(&mut rig, GCODE, 0, &there(300, false).words());

@@ -66,6 +66,8 @@ pub fn svg(measured: &Measured, title: &str) -> Result<String, String> {
         let mut chart = ChartBuilder::on(&root)
             .caption(title, ("sans-serif", 22))
             .margin(12)
+            // Room for the name of the last line.
+            .margin_right(48)
             .x_label_area_size(44)
             .y_label_area_size(70)
             .build_cartesian_2d((low..high).log_scale(), (0.5..most).log_scale())
