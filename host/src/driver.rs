@@ -245,6 +245,7 @@ impl Driver {
                 ),
             );
         }
+        self.times.write_begins();
         self.mind_the_time();
         self.tell_group();
         self.follow_group();

@@ -122,6 +122,29 @@ impl Shop {
         self.pass(PERIOD_NS - 100_000 - 4 * 15_000);
     }
 
+    /// How far apart the boards have applied the last 200 commands, ns of this computer.
+    fn apart(&self) -> f64 {
+        let applied: Vec<Vec<f64>> = self
+            .boards
+            .iter()
+            .map(|board| {
+                let board = board.look();
+                let script = board.script.as_ref().unwrap();
+                let last = board.applied.len() - 200;
+                let moments = board.applied[last..].iter();
+                moments.map(|at| script.host_ns(*at as f64)).collect()
+            })
+            .collect();
+        let mut worst = 0.0f64;
+        for n in 0..200 {
+            let moments = applied.iter().map(|moments| moments[n]);
+            let first = moments.clone().fold(f64::MAX, f64::min);
+            let last = moments.fold(f64::MIN, f64::max);
+            worst = worst.max(last - first);
+        }
+        worst
+    }
+
     fn arm(&mut self) {
         self.each("enable", true);
         for _ in 0..60 {
@@ -146,25 +169,7 @@ fn four_boards_with_other_clocks_apply_a_command_at_one_instant() {
         for _ in 0..700 {
             shop.period();
         }
-        // What the last 200 commands did, in this computer's time.
-        let applied: Vec<Vec<f64>> = shop
-            .boards
-            .iter()
-            .map(|board| {
-                let board = board.look();
-                let script = board.script.as_ref().unwrap();
-                let last = board.applied.len() - 200;
-                let moments = board.applied[last..].iter();
-                moments.map(|at| script.host_ns(*at as f64)).collect()
-            })
-            .collect();
-        let mut worst = 0.0f64;
-        for n in 0..200 {
-            let moments = applied.iter().map(|moments| moments[n]);
-            let first = moments.clone().fold(f64::MAX, f64::min);
-            let last = moments.fold(f64::MIN, f64::max);
-            worst = worst.max(last - first);
-        }
+        let worst = shop.apart();
         println!("seed {seed}: four boards apply within {worst:.0} ns");
         assert!(worst < AGREE_NS, "seed {seed}: {worst} ns apart");
         for (n, ppm) in [(0, 43.0), (1, -61.0), (2, 0.0), (3, 97.0)] {
@@ -179,6 +184,28 @@ fn four_boards_with_other_clocks_apply_a_command_at_one_instant() {
         let true_offset = 5e9 + 43e-6 * shop.now as f64;
         let way = offset - true_offset;
         assert!((0.0..45_000.0).contains(&way), "seed {seed}: {way} ns");
+    }
+}
+
+#[test]
+fn a_board_whose_session_opens_later_applies_at_the_same_instant_as_the_others() {
+    for late in 0..4 {
+        let mut shop = Shop::new(5);
+        shop.boards[late].look().knobs.unplugged = true;
+        for _ in 0..30 {
+            shop.period();
+        }
+        shop.boards[late].look().knobs.unplugged = false;
+        for _ in 0..200 {
+            shop.period();
+        }
+        shop.arm();
+        for _ in 0..700 {
+            shop.period();
+        }
+        let worst = shop.apart();
+        println!("board {late} opens later: four boards apply within {worst:.0} ns");
+        assert!(worst < AGREE_NS, "board {late}: {worst} ns apart");
     }
 }
 

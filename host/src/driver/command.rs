@@ -167,12 +167,10 @@ impl Driver {
         if delay == 0 {
             return None;
         }
-        let now = self.times.now();
-        let moment = self.times.time.writes.of(&mut self.times.write_moment, now);
         // With a delay longer than a period the next command would replace this one before its
         // time.
         let delay = i64::from(delay).min((period.seconds * 1e9) as i64);
-        let at = self.times.clock.board_at(moment + delay)?;
+        let at = self.times.clock.board_at(self.times.writes + delay)?;
         // Even with a wrong clock comparison a command must not wait for its successor. Half a
         // period of jitter is allowed; a command with an earlier time is applied on arrival.
         let delay = Clocks((delay as f64 * 1e-9 * period.clock_hz) as u64);

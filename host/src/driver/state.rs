@@ -203,6 +203,8 @@ pub(super) struct Times {
     /// The common moments used last.
     pub(super) read_moment: u64,
     pub(super) write_moment: u64,
+    /// When the commands of this period began to be sent.
+    pub(super) writes: i64,
     pub(super) clock: BoardClock,
     /// Sequence number and time of sending of the last two commands.
     pub(super) sent: [(u32, i64); 2],
@@ -227,6 +229,7 @@ impl Times {
             time: Timebase::new(),
             read_moment: 0,
             write_moment: 0,
+            writes: 0,
             clock: BoardClock::new(clock_hz),
             sent: [(0, 0); 2],
             request_to_write: None,
@@ -241,6 +244,13 @@ impl Times {
 
     pub(super) fn now(&self) -> i64 {
         self.time.now()
+    }
+
+    /// `write` begins. Every board takes part in every period, with a session or without one: one
+    /// that came in later would be a period behind the others for ever.
+    pub(super) fn write_begins(&mut self) {
+        let now = self.now();
+        self.writes = self.time.writes.of(&mut self.write_moment, now);
     }
 
     /// A new session: no command is on its way.
