@@ -9,7 +9,7 @@ use ferrocnc::clock::Timebase;
 use ferrocnc::group::Group;
 use std::sync::Arc;
 use std::time::Duration;
-use wire::{FaultReason, State};
+use wire::{FaultReason, State, map};
 
 /// Clocks of a servo period.
 const PERIOD: u64 = 60_000;
@@ -58,6 +58,25 @@ fn come_back(rig: &mut Rig) {
     }
     timeout(rig, PATIENT);
     rig.run(2);
+}
+
+#[test]
+fn a_board_that_answers_nothing_does_not_refuse_its_settings() {
+    let mut rig = Rig::new();
+    rig.run(60);
+    // Not given up for its silence, which is another message.
+    rig.hal.set("ferrocnc.0.packet-error-limit", 1_000_000);
+    timeout(&rig, HASTY);
+    rig.hal.set("ferrocnc.0.stepgen.x.steplen", 7_000u32);
+    rig.board.look().knobs.unplugged = true;
+    rig.run(200);
+    assert_eq!(errors(&rig), [""; 0]);
+    rig.board.look().knobs.unplugged = false;
+    timeout(&rig, PATIENT);
+    rig.run(60);
+    assert_eq!(errors(&rig), [""; 0]);
+    let steplen = rig.board.look().config.get(&map::CONFIG_STEPGEN).copied();
+    assert_eq!(steplen, Some(420), "7 us are 420 clocks");
 }
 
 #[test]

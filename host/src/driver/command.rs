@@ -45,8 +45,11 @@ impl Driver {
     }
 
     /// Sends settings the board lacks. A datagram that was not sent gets no answer, so it is due
-    /// again.
+    /// again. They wait while the board answers nothing at all: that is silence, and no refusal.
     pub(super) fn send_settings(&mut self, wanted: &Wanted) {
+        if self.exchange.missing > 0 {
+            return;
+        }
         let mut words = [0; MAX_WORDS];
         let tag = self.next_tag();
         if let Some(request) =
