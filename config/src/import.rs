@@ -13,9 +13,10 @@ pub use lcnc::lcnc;
 pub(crate) use lcnc::{CHANNELS as LCNC_CHANNELS, PLATFORMS as LCNC_PLATFORMS};
 pub use litexcnc::litexcnc;
 
-use crate::board::{Board, Channel, Class, ControlInput, Modified, Platforms};
+use crate::board::{Board, Channel, Class, ControlInput, Platforms};
 use crate::error::{Error, Place, Report};
 use crate::hal;
+use crate::new::blank;
 use crate::platform::{Level, Platform, Role, split};
 use crate::write::to_toml;
 
@@ -66,26 +67,17 @@ impl<'p> Draft<'p> {
         let platform = Platform::read(&platform_file, platform, &text)?;
         let board = Board {
             file: file.to_owned(),
-            name: name.to_owned(),
-            sys_clk_hz: 60_000_000,
-            phy: 0,
             ext_reset: ControlInput {
                 pin: None,
                 active: Level::High,
             },
-            jobs: 0,
-            sdram: platform.sdram.is_some(),
-            platform,
             // The button is the factory pin. If the configuration uses it, `finish` removes this.
             factory: Some(ControlInput {
                 pin: Some("key".to_owned()),
                 active: Level::Low,
             }),
-            mac: None,
             ipv4: [0; 4],
-            udp_port: wire::DEFAULT_PORT,
-            modified: Modified::default(),
-            channels: Default::default(),
+            ..blank(name, platform)
         };
         Ok(Draft {
             file: file.to_owned(),

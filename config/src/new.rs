@@ -1,7 +1,7 @@
 //! A first configuration: so many channels of each kind, on the first free pins.
 
 use crate::board::{Board, Channel, Class, ControlInput, Modified};
-use crate::platform::{FIRST_SHARED, HEADER, Platform};
+use crate::platform::{Platform, own_pins, shared_pins};
 
 /// What is wanted.
 #[derive(Clone, Debug, Default)]
@@ -48,11 +48,7 @@ pub fn layout(name: &str, platform: Platform, wanted: &Wanted) -> Result<Board, 
             .headers
             .iter()
             .filter(|(header, _)| wanted.modified.contains(header) == modified);
-        let pins = headers.flat_map(|(header, _)| {
-            (0..FIRST_SHARED)
-                .filter(|n| HEADER[*n] != "GND")
-                .map(move |n| format!("{header}:{n}"))
-        });
+        let pins = headers.flat_map(|(header, _)| own_pins(header));
         pins.collect::<Vec<String>>()
     };
     let first = platform
@@ -60,9 +56,7 @@ pub fn layout(name: &str, platform: Platform, wanted: &Wanted) -> Result<Board, 
         .iter()
         .find(|(header, _)| !wanted.modified.contains(header))
         .or(platform.headers.first());
-    let shared = first.iter().flat_map(|(header, _)| {
-        (FIRST_SHARED..HEADER.len() - 1).map(move |n| format!("{header}:{n}"))
-    });
+    let shared = first.map_or(Vec::new(), |(header, _)| shared_pins(header));
     let mut outputs = own(false).into_iter().chain(shared);
     let mut inputs = own(true).into_iter();
     let mut channels: [Vec<Channel>; 5] = Default::default();
@@ -88,32 +82,35 @@ pub fn layout(name: &str, platform: Platform, wanted: &Wanted) -> Result<Board, 
             channels.push(Channel::new(class, default_name(class, n), pins));
         }
     }
-    let active = platform.key_active;
-    Ok(Board {
+    let mut board = blank(name, platform);
+    board.modified.bus_switch.clone_from(&wanted.modified);
+    board.channels = channels;
+    Ok(board)
+}
+
+/// A board without channels, with its buffers as it is sold; the key is external reset and factory
+/// pin.
+pub fn blank(name: &str, platform: Platform) -> Board {
+    let key = ControlInput {
+        pin: Some("key".to_owned()),
+        active: platform.key_active,
+    };
+    Board {
         file: String::new(),
         name: name.to_owned(),
         sys_clk_hz: 60_000_000,
         phy: 0,
-        ext_reset: ControlInput {
-            pin: Some("key".to_owned()),
-            active,
-        },
-        factory: Some(ControlInput {
-            pin: Some("key".to_owned()),
-            active,
-        }),
+        ext_reset: key.clone(),
+        factory: Some(key),
         jobs: 0,
         sdram: platform.sdram.is_some(),
         mac: None,
         ipv4: [192, 168, 2, 50],
         udp_port: wire::DEFAULT_PORT,
-        modified: Modified {
-            bus_switch: wanted.modified.clone(),
-            inputs: Vec::new(),
-        },
-        channels,
+        modified: Modified::default(),
+        channels: Default::default(),
         platform,
-    })
+    }
 }
 
 fn no_room(

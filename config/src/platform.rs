@@ -17,6 +17,18 @@ pub const SHARED: usize = 8;
 /// Lines a header has to itself.
 pub const OWN: usize = 6;
 
+/// The pins a header has to itself, in their order.
+pub fn own_pins(header: &str) -> Vec<String> {
+    let own = (0..FIRST_SHARED).filter(|n| HEADER[*n] != "GND");
+    own.map(|n| format!("{header}:{n}")).collect()
+}
+
+/// The pins it shares with every other header, by this one's name.
+pub fn shared_pins(header: &str) -> Vec<String> {
+    let shared = FIRST_SHARED..HEADER.len() - 1;
+    shared.map(|n| format!("{header}:{n}")).collect()
+}
+
 const BALL: &str = "the FPGA's ball, as in \"P6\"";
 
 const CLOCK: &[Key] = &[

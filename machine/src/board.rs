@@ -6,8 +6,9 @@
 
 use crate::channels::{Wanted, wanted};
 use crate::model::{CncMachine, Estop};
-use ferrocnc_config::board::{ControlInput, Modified, Platforms};
-use ferrocnc_config::platform::{FIRST_SHARED, HEADER, Level, Platform, Role, split};
+use ferrocnc_config::board::Platforms;
+use ferrocnc_config::new::blank;
+use ferrocnc_config::platform::{Level, Platform, Role, own_pins, shared_pins, split};
 use ferrocnc_config::write::{channel, to_toml};
 use ferrocnc_config::{Board, Channel, Class, Error};
 use std::collections::BTreeSet;
@@ -115,41 +116,20 @@ fn empty(
             proposed
         }
     };
-    let active = platform.key_active;
-    let key = |active| ControlInput {
-        pin: Some("key".to_owned()),
-        active,
-    };
+    let mut board = blank(&machine.name, platform);
+    board.modified.bus_switch = bus_switch;
+    if let Estop::External(level) = machine.estop {
+        board.ext_reset.active = level;
+        // A chain that is open at power-up is not a wish for factory settings.
+        board.factory = None;
+    }
     let address = machine.board.address.split(':').next().unwrap_or_default();
     let ipv4 = address.parse::<std::net::Ipv4Addr>();
     // The twin's address is this computer's, which no board can have.
-    let ipv4 = ipv4.ok().filter(|address| !address.is_loopback());
-    Ok(Board {
-        file: String::new(),
-        name: machine.name.clone(),
-        sys_clk_hz: 60_000_000,
-        phy: 0,
-        ext_reset: match machine.estop {
-            Estop::External(level) => key(level),
-            Estop::Software | Estop::Input(_) => key(active),
-        },
-        factory: match machine.estop {
-            // A chain that is open at power-up is not a wish for factory settings.
-            Estop::External(_) => None,
-            Estop::Software | Estop::Input(_) => Some(key(active)),
-        },
-        jobs: 0,
-        sdram: platform.sdram.is_some(),
-        mac: None,
-        ipv4: ipv4.map_or([192, 168, 2, 50], |address| address.octets()),
-        udp_port: 1234,
-        modified: Modified {
-            bus_switch,
-            inputs: Vec::new(),
-        },
-        channels: Default::default(),
-        platform,
-    })
+    if let Some(address) = ipv4.ok().filter(|address| !address.is_loopback()) {
+        board.ipv4 = address.octets();
+    }
+    Ok(board)
 }
 
 /// How many pins that read a machine needs.
@@ -205,23 +185,15 @@ impl Free {
             let lists = [&board.modified.bus_switch, &board.modified.inputs];
             lists.iter().any(|list| list.contains(lines))
         };
-        let own = |header: &str| {
-            let own = (0..FIRST_SHARED).filter(|n| HEADER[*n] != "GND");
-            own.map(|n| format!("{header}:{n}")).collect::<Vec<_>>()
-        };
-        let shared = |header: &str| {
-            let shared = FIRST_SHARED..HEADER.len() - 1;
-            shared.map(|n| format!("{header}:{n}")).collect::<Vec<_>>()
-        };
         let names = || platform.headers.iter().map(|(name, _)| name);
         let (reading, driving): (Vec<&String>, Vec<&String>) =
             names().partition(|name| reads(name));
         let of = |header: &&String| reads(&format!("{header}:shared"));
-        let mut outputs: Vec<String> = driving.iter().flat_map(|name| own(name)).collect();
-        let mut inputs: Vec<String> = reading.iter().flat_map(|name| own(name)).collect();
-        inputs.extend(names().filter(of).flat_map(|name| shared(name)));
+        let mut outputs: Vec<String> = driving.iter().flat_map(|name| own_pins(name)).collect();
+        let mut inputs: Vec<String> = reading.iter().flat_map(|name| own_pins(name)).collect();
+        inputs.extend(names().filter(of).flat_map(|name| shared_pins(name)));
         if let Some(first) = names().find(|name| !of(name)) {
-            outputs.extend(shared(first));
+            outputs.extend(shared_pins(first));
         }
         let channels = board.channels.iter().flatten();
         let pins = channels.flat_map(|channel| channel.pins.iter().map(|(_, pin)| pin));

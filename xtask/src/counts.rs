@@ -4,13 +4,13 @@
 
 use crate::lint::{circles, lengths};
 use crate::{root, step, target, tree};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use clap::Args;
 use serde_json::{Map, Value, json};
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 /// The last commit before the tree was put in order.
 const BEFORE: &str = "f03de04";
@@ -27,7 +27,7 @@ pub struct Options {
 pub fn run(options: &Options) -> Result<()> {
     step::heading("counts");
     let folder = target("tmp/before");
-    check_out(&options.before, &folder)?;
+    tree::check_out(&options.before, &folder)?;
     let (mut before, mut now) = (of(&folder)?, of(root())?);
     before.insert(
         "clippy_warnings".into(),
@@ -45,30 +45,6 @@ pub fn run(options: &Options) -> Result<()> {
     let file = target("reports/counts.json");
     fs::create_dir_all(target("reports")).context("no target/reports")?;
     fs::write(&file, format!("{report:#}\n")).with_context(|| format!("no {}", file.display()))
-}
-
-/// The files of a commit, in a folder of their own.
-fn check_out(commit: &str, folder: &Path) -> Result<()> {
-    if folder.exists() {
-        fs::remove_dir_all(folder)?;
-    }
-    fs::create_dir_all(folder)?;
-    let mut archive = Command::new("git")
-        .args(["archive", commit])
-        .current_dir(root())
-        .stdout(Stdio::piped())
-        .spawn()
-        .context("git")?;
-    let files = archive.stdout.take().context("git's output")?;
-    let unpacked = Command::new("tar")
-        .arg("-xC")
-        .arg(folder)
-        .stdin(files)
-        .status()?;
-    if !archive.wait()?.success() || !unpacked.success() {
-        bail!("there is no commit {commit} here; a shallow clone does not have it");
-    }
-    Ok(())
 }
 
 /// The counts of a tree, by name.

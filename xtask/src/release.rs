@@ -105,18 +105,7 @@ fn notes(changelog: &str, heading: &str) -> Result<String> {
 fn bills(to: &Path) -> Result<()> {
     let tool = setup::cargo_cyclonedx()?;
     let copy_of = target("releases/source");
-    let _ = fs::remove_dir_all(&copy_of);
-    fs::create_dir_all(&copy_of)?;
-    let archive = target("releases/source.tar");
-    git(&[
-        "archive",
-        "--output",
-        &archive.display().to_string(),
-        "HEAD",
-    ])?;
-    let mut unpack = Command::new("tar");
-    unpack.arg("-xf").arg(&archive).arg("-C").arg(&copy_of);
-    setup::output(&mut unpack).context("tar does not unpack the commit")?;
+    tree::check_out("HEAD", &copy_of)?;
     let mut list = Command::new(tool);
     list.args(["cyclonedx", "--format", "json", "--spec-version", "1.5"])
         .args(["--target", "all", "--override-filename", "bill"])
@@ -137,7 +126,6 @@ fn bills(to: &Path) -> Result<()> {
             without(&text, &copy_of),
         )?;
     }
-    fs::remove_file(archive)?;
     fs::remove_dir_all(copy_of).context("the copy of the commit")
 }
 

@@ -1,8 +1,11 @@
-//! Lists the files of the tree, for all code that checks, copies or writes them.
+//! Lists the files of the tree, for all code that checks, copies or writes them, and brings back
+//! those of a commit.
 
+use crate::root;
 use anyhow::{Context, Result, bail};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 
 /// Folders that hold nothing of ours.
 const SKIPPED: [&str; 4] = ["target", ".git", "__pycache__", "node_modules"];
@@ -36,6 +39,30 @@ pub fn with_ending(folder: &Path, ending: &str) -> Result<Vec<PathBuf>> {
         bail!("there is no .{ending} file below {}", folder.display());
     }
     Ok(files)
+}
+
+/// The files of a commit, in a folder of their own.
+pub fn check_out(commit: &str, folder: &Path) -> Result<()> {
+    if folder.exists() {
+        fs::remove_dir_all(folder)?;
+    }
+    fs::create_dir_all(folder)?;
+    let mut archive = Command::new("git")
+        .args(["archive", commit])
+        .current_dir(root())
+        .stdout(Stdio::piped())
+        .spawn()
+        .context("git")?;
+    let files = archive.stdout.take().context("git's output")?;
+    let unpacked = Command::new("tar")
+        .arg("-xC")
+        .arg(folder)
+        .stdin(files)
+        .status()?;
+    if !archive.wait()?.success() || !unpacked.success() {
+        bail!("there is no commit {commit} here; a shallow clone does not have it");
+    }
+    Ok(())
 }
 
 #[cfg(test)]

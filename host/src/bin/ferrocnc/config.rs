@@ -3,6 +3,7 @@
 
 use crate::consent;
 use crate::hal_file::{self, Rewritten};
+use crate::text::{drawn, say};
 use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, Subcommand, ValueEnum};
 use ferrocnc_config::board::Platforms;
@@ -15,7 +16,7 @@ use ferrocnc_config::{
     Board, Error, Platform, export, first_light, read_board, schema, show, write,
 };
 use serde_json::{Value, json};
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
 #[derive(Subcommand)]
@@ -357,12 +358,7 @@ fn draw(what: &Path, output: Option<&Path>, color: When) -> Result<()> {
         When::Never => false,
         When::Auto => std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none(),
     };
-    let width = console::Term::stdout().size_checked();
-    say(&pinout::terminal(
-        &pinout,
-        width.map_or(100, |(_, columns)| usize::from(columns)),
-        coloured,
-    ))
+    say(&drawn(&pinout, coloured))
 }
 
 /// The platform of this name or file, if that is what it is.
@@ -470,8 +466,4 @@ fn save(file: &Path, text: &str) -> Result<()> {
     std::fs::write(file, text)
         .map_err(|e| anyhow!("{}: cannot be written ({e})", file.display()))?;
     say(&format!("{}: written\n", file.display()))
-}
-
-fn say(text: &str) -> Result<()> {
-    Ok(std::io::stdout().lock().write_all(text.as_bytes())?)
 }

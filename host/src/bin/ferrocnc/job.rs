@@ -7,6 +7,7 @@ pub(crate) use board::tell;
 
 use crate::consent;
 use crate::progress::Bar;
+use crate::text::say;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, Subcommand, ValueEnum};
 use ferrocnc::job::machine::MachineFile;
@@ -20,7 +21,6 @@ use jobs::instruction::Feed;
 use jobs::xypen::Quirks;
 use serde_json::{Value, json};
 use std::cell::RefCell;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 #[derive(Subcommand)]
@@ -483,8 +483,4 @@ fn save(file: &Path, bytes: &[u8], force: bool) -> Result<()> {
     consent::may_write(file, force)?;
     std::fs::write(file, bytes)
         .map_err(|error| anyhow!("{}: cannot be written ({error})", file.display()))
-}
-
-pub(crate) fn say(text: &str) -> Result<()> {
-    Ok(std::io::stdout().lock().write_all(text.as_bytes())?)
 }

@@ -3,16 +3,16 @@
 mod new;
 
 use crate::consent;
+use crate::text::{drawn, say};
 use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand};
 use ferrocnc::replace::replace;
-use ferrocnc_config::pinout::{self, Pinout};
+use ferrocnc_config::pinout::Pinout;
 use ferrocnc_config::source::{Folder, read_text};
 use ferrocnc_config::{Board, Error, read_board};
 use ferrocnc_machine::plan::{Change, Files, Plan, plan};
 use ferrocnc_machine::{CncMachine, check, read};
 use serde_json::{Value, json};
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 #[derive(Subcommand)]
@@ -240,10 +240,7 @@ fn show(plan: &Plan) -> Result<bool> {
     }
     let board_file = format!("{}.toml", plan.board.name);
     if plan.changes.iter().any(|change| change.name == board_file) {
-        let width = console::Term::stdout().size_checked();
-        let width = width.map_or(100, |(_, columns)| usize::from(columns));
-        let drawing = Pinout::of_board(&plan.board);
-        say(&pinout::terminal(&drawing, width, false))?;
+        say(&drawn(&Pinout::of_board(&plan.board), false))?;
     }
     for change in &plan.changes {
         say(&change.diff())?;
@@ -255,10 +252,6 @@ fn save(folder: &Beside, change: &Change) -> Result<()> {
     let path = folder.0.join(&change.name);
     replace(&path, change.after.as_bytes(), 0o644)
         .with_context(|| format!("cannot write {}", path.display()))
-}
-
-fn say(text: &str) -> Result<()> {
-    Ok(std::io::stdout().lock().write_all(text.as_bytes())?)
 }
 
 #[cfg(test)]

@@ -1,4 +1,20 @@
-//! Turns values of a board into text for the operator.
+//! Text for the operator: values of a board, and the way out.
+
+use anyhow::Result;
+use ferrocnc_config::pinout::{self, Pinout};
+use std::io::Write;
+
+/// Prints; that what reads it has gone is an error.
+pub(crate) fn say(text: &str) -> Result<()> {
+    Ok(std::io::stdout().lock().write_all(text.as_bytes())?)
+}
+
+/// A drawing of headers, as wide as the terminal.
+pub(crate) fn drawn(pinout: &Pinout, coloured: bool) -> String {
+    let size = console::Term::stdout().size_checked();
+    let width = size.map_or(100, |(_, columns)| usize::from(columns));
+    pinout::terminal(pinout, width, coloured)
+}
 
 /// A version: `1.2.3`.
 pub(crate) fn version(word: u32) -> String {

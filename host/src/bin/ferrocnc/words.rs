@@ -95,7 +95,7 @@ impl Session {
         }
         let bits = words::bits(word);
         if self.as_json {
-            crate::job::say(&format!(
+            crate::text::say(&format!(
                 "{}\n",
                 json!({ "line": line.number, "command": line.name(), "status": word, "bits": bits })
             ))?;
@@ -104,7 +104,7 @@ impl Session {
                 true => "normal".to_owned(),
                 false => bits.join(" "),
             };
-            crate::job::say(&format!("{:>5} {:<6} {shown}\n", line.number, line.name()))?;
+            crate::text::say(&format!("{:>5} {:<6} {shown}\n", line.number, line.name()))?;
         }
         Ok(word)
     }
@@ -234,8 +234,8 @@ impl Session {
             std::thread::sleep(AGAIN);
         };
         match self.as_json {
-            true => crate::job::say(&format!("{}\n", json!({ "steps": report.steps })))?,
-            false => crate::job::say(&format!("at steps {:?}\n", report.steps))?,
+            true => crate::text::say(&format!("{}\n", json!({ "steps": report.steps })))?,
+            false => crate::text::say(&format!("at steps {:?}\n", report.steps))?,
         }
         self.waiting();
         Ok(())

@@ -207,8 +207,10 @@ pub(crate) fn run(command: &BoardJobCommand, as_json: bool) -> Result<()> {
         BoardJobCommand::Delete { board, name } => {
             let free = board.open()?.delete(name)?;
             match as_json {
-                true => super::say(&format!("{}\n", json!({ "deleted": name, "free": free }))),
-                false => super::say(&format!("{name} is deleted, {free} bytes are free\n")),
+                true => {
+                    crate::text::say(&format!("{}\n", json!({ "deleted": name, "free": free })))
+                }
+                false => crate::text::say(&format!("{name} is deleted, {free} bytes are free\n")),
             }
         }
         BoardJobCommand::Serve { address, at } => serve(address, *at, as_json),
@@ -226,11 +228,11 @@ fn serve(address: &str, at: SocketAddr, as_json: bool) -> Result<()> {
     }
     let at = streamer.at();
     match as_json {
-        true => super::say(&format!(
+        true => crate::text::say(&format!(
             "{}\n",
             json!({ "board": address.text, "jobs": at.to_string() })
         ))?,
-        false => super::say(&format!(
+        false => crate::text::say(&format!(
             "the jobs of {address} are at {at}: ferrocnc job send {at} FILE.job; Ctrl-C ends it, and stops what moves\n"
         ))?,
     }
@@ -305,13 +307,13 @@ fn send(
     if as_json {
         let mut sent = entry_json(&entry);
         sent["resumed_from"] = json!(resumed);
-        return super::say(&format!("{sent:#}\n"));
+        return crate::text::say(&format!("{sent:#}\n"));
     }
     let from = match resumed {
         0 => String::new(),
         there => format!(", {there} of them were there already"),
     };
-    super::say(&format!(
+    crate::text::say(&format!(
         "{name} is on the board: {} bytes{from}, {} instructions, CRC {:08x}\n",
         entry.total, entry.instructions, entry.crc
     ))
@@ -323,20 +325,20 @@ fn list(board: &mut Board, as_json: bool) -> Result<()> {
     if as_json {
         let jobs: Vec<Value> = entries.iter().map(entry_json).collect();
         let all = json!({ "jobs": jobs, "room": welcome.room, "free": welcome.free });
-        return super::say(&format!("{all:#}\n"));
+        return crate::text::say(&format!("{all:#}\n"));
     }
     for entry in &entries {
         let state = match entry.ready {
             true => format!("{} instructions", entry.instructions),
             false => format!("{} bytes of it are there: send it again", entry.have),
         };
-        super::say(&format!(
+        crate::text::say(&format!(
             "{:<32} {:>9} bytes  {state}\n",
             entry.name.text(),
             entry.total
         ))?;
     }
-    super::say(&format!(
+    crate::text::say(&format!(
         "{} of {} bytes are free\n",
         welcome.free, welcome.room
     ))
@@ -363,8 +365,8 @@ fn report_json(report: &Report) -> Value {
 
 fn show(report: &Report, as_json: bool) -> Result<()> {
     match as_json {
-        true => super::say(&format!("{:#}\n", report_json(report))),
-        false => super::say(&text(report)),
+        true => crate::text::say(&format!("{:#}\n", report_json(report))),
+        false => crate::text::say(&text(report)),
     }
 }
 
@@ -419,7 +421,7 @@ fn watch(board: &mut Board, keepalive: Option<Duration>, as_json: bool) -> Resul
         let report = board.report()?;
         let over = matches!(report.state, State::Stopped);
         if as_json && last != Some(report) {
-            super::say(&format!("{}\n", report_json(&report)))?;
+            crate::text::say(&format!("{}\n", report_json(&report)))?;
         }
         last = Some(report);
         if over {
@@ -440,7 +442,7 @@ fn watch(board: &mut Board, keepalive: Option<Duration>, as_json: bool) -> Resul
     };
     drop(bar);
     if !as_json {
-        super::say(&text(&report))?;
+        crate::text::say(&text(&report))?;
     }
     if matches!(report.end, End::None | End::Done) {
         return Ok(());

@@ -97,7 +97,7 @@ pub(crate) fn run(new: &New) -> Result<()> {
     replace(&new.file, text.as_bytes(), 0o644)
         .with_context(|| format!("cannot write {}", new.file.display()))?;
     let file = new.file.display();
-    super::say(&format!(
+    crate::text::say(&format!(
         "{file}: written; put your numbers in, then: ferrocnc machine check {file}\n"
     ))
 }
