@@ -178,7 +178,7 @@ fn prepare(out: &mut String, board: &Board, class: Class, channel: &Channel) {
 fn hal(class: Class, channel: &Channel, pin: &str) -> String {
     let hal = class.hal();
     debug_assert!(pin.len() <= hal.longest.len());
-    format!("ferrocnc.0.{}.{}.{pin}", hal.class, channel.name)
+    hal.pin_called(&channel.name, pin)
 }
 
 fn own_address(board: &Board) -> String {

@@ -47,7 +47,12 @@ pub const OUTPUT: HalClass = HalClass {
 impl HalClass {
     /// The longest pin a channel of this name gets, on the first board.
     pub fn pin(self, name: &str) -> String {
-        format!("ferrocnc.0.{}.{name}.{}", self.class, self.longest)
+        self.pin_called(name, self.longest)
+    }
+
+    /// The pin with this last part, on the first board.
+    pub fn pin_called(self, name: &str, last: &str) -> String {
+        format!("ferrocnc.0.{}.{name}.{last}", self.class)
     }
 
     /// The longest pin that LiteX-CNC makes of this name on a board of that name.
