@@ -5,7 +5,7 @@ use crate::board::{Board, Channel, Class};
 use crate::error::{Error, Report};
 use wire::board::{HEADER_LEN, LIST, MAGIC, VERSION, crc32};
 
-/// Bytes the board has for it: one block RAM.
+/// Bytes the board has for it: two block RAMs.
 pub const ROM: usize = wire::regmap::BOARD_ROM_SIZE;
 
 /// The blob of a configuration. Refused when it is longer than the board has room for.

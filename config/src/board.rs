@@ -130,7 +130,7 @@ impl Board {
 
     /// How many channels there are of each kind.
     pub fn channels(&self) -> Channels {
-        // No kind has more than 32.
+        // No kind has more than 64.
         let count = |class| self.of(class).len() as u8;
         Channels {
             stepgens: count(Class::Stepgen),
@@ -142,7 +142,7 @@ impl Board {
     }
 
     /// One bit per output that is high while the board is not armed.
-    pub fn safe_mask(&self) -> u32 {
+    pub fn safe_mask(&self) -> u64 {
         // `gpio.sv` turns the safe level over with the rest.
         self.mask(Class::Output, |channel| {
             (channel.safe == Some(Level::High)) != channel.invert
@@ -150,13 +150,13 @@ impl Board {
     }
 
     /// One bit per output that is the other way round.
-    pub fn invert_mask(&self) -> u32 {
+    pub fn invert_mask(&self) -> u64 {
         self.mask(Class::Output, |channel| channel.invert)
     }
 
-    fn mask(&self, class: Class, is: impl Fn(&Channel) -> bool) -> u32 {
+    fn mask(&self, class: Class, is: impl Fn(&Channel) -> bool) -> u64 {
         let bits = self.of(class).iter().enumerate();
-        bits.map(|(n, channel)| u32::from(is(channel)) << n).sum()
+        bits.map(|(n, channel)| u64::from(is(channel)) << n).sum()
     }
 
     /// Keys of the pins a bitstream needs and the file does not give. Simulation needs none.

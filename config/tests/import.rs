@@ -540,11 +540,30 @@ fn all_named(inputs: usize, outputs: usize) -> String {
 
 /// As LiteX-CNC's `5a-75e_v7.1_i48o56.json`: every pin of the card.
 #[test]
-fn more_inputs_than_a_word_has_bits_are_refused_with_their_number_and_that_of_the_gateware() {
-    let said = json(&all_named(48, 56)).unwrap_err();
+fn every_pin_of_the_card_as_an_input_or_an_output_is_a_board() {
+    let draft = json(&all_named(48, 56)).unwrap();
+    let channels = draft.board.channels();
+    assert_eq!((channels.inputs, channels.outputs), (48, 56));
+    let blob = ferrocnc_config::blob::blob(&draft.board).unwrap();
+    let blob = wire::board::Blob::new_checked(&blob).unwrap();
+    let pins = |channel| {
+        let of = |entry: &wire::board::Entry<'_>| {
+            (entry.kind, entry.channel) == (wire::board::Kind::Pins, channel)
+        };
+        let found = blob.entries().filter(of);
+        let text = found.map(|entry| String::from_utf8_lossy(entry.value).into_owned());
+        text.collect::<Vec<_>>()
+    };
+    assert_eq!(pins(47).len(), 2, "an input and an output");
+    assert_eq!(pins(55), ["opin=j1:14 gpio=103 as=j1:14"]);
+}
+
+#[test]
+fn more_inputs_than_the_gateware_has_are_refused_with_both_numbers() {
+    let said = json(&all_named(65, 0)).unwrap_err();
     for part in [
-        "has 48 of what becomes gpio_in",
-        "gateware has 32",
+        "has 65 of what becomes gpio_in",
+        "gateware has 64",
         "two boards",
     ] {
         assert!(said.contains(part), "{part:?} is not in {said:?}");
@@ -554,13 +573,13 @@ fn more_inputs_than_a_word_has_bits_are_refused_with_their_number_and_that_of_th
 #[test]
 fn names_of_litexcnc_that_the_board_has_no_room_for_are_refused_with_the_key_to_leave_out() {
     let blob = |text: &str| ferrocnc_config::blob::blob(&json(text).unwrap().board);
-    assert!(blob(&all_named(24, 24)).is_ok());
-    let said = blob(&all_named(32, 32)).unwrap_err().to_string();
-    for part in ["the board has 2048", "litexcnc_name", "name in its JSON"] {
+    let long = all_named(48, 56).replace("\"name\":\"j", "\"name\":\"of-the-old-machine-j");
+    let said = blob(&long).unwrap_err().to_string();
+    for part in ["the board has 4096", "litexcnc_name", "name in its JSON"] {
         assert!(said.contains(part), "{part:?} is not in {said:?}");
     }
     // Without them it fits.
-    let mut unnamed: serde_json::Value = serde_json::from_str(&all_named(32, 32)).unwrap();
+    let mut unnamed: serde_json::Value = serde_json::from_str(&long).unwrap();
     for instance in unnamed["modules"][0]["instances"].as_array_mut().unwrap() {
         instance.as_object_mut().unwrap().remove("name");
     }

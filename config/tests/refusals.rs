@@ -529,8 +529,8 @@ fn too_many_channels_are_refused_with_the_limit() {
         ("stepgen", 16, ""),
         ("encoder", 16, ""),
         ("pwm", 16, ""),
-        ("gpio_in", 32, ""),
-        ("gpio_out", 32, "safe = \"low\"\n"),
+        ("gpio_in", 64, ""),
+        ("gpio_out", 64, "safe = \"low\"\n"),
     ] {
         let head = &GOOD[..GOOD.find("[[stepgen]]").unwrap()];
         let channels = |count: usize| {
@@ -549,6 +549,24 @@ fn too_many_channels_are_refused_with_the_limit() {
             "{error}"
         );
     }
+}
+
+#[test]
+fn an_estop_behind_the_first_32_inputs_is_refused_with_the_way_out() {
+    let head = &GOOD[..GOOD.find("[[stepgen]]").unwrap()];
+    let board = |stop: usize| {
+        let inputs: String = (0..40)
+            .map(|n| {
+                let estop = if n == stop { "estop = \"high\"\n" } else { "" };
+                format!("[[gpio_in]]\nname = \"n{n}\"\n{estop}")
+            })
+            .collect();
+        read(&format!("{head}{inputs}"))
+    };
+    assert!(board(31).is_ok());
+    let error = board(32).unwrap_err();
+    assert_eq!(error.key, "gpio_in[32].estop");
+    assert!(error.to_string().contains("further up"), "{error}");
 }
 
 #[test]

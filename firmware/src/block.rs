@@ -20,6 +20,8 @@ pub struct Shape {
     pub(crate) stepgens: usize,
     pub(crate) encoders: usize,
     pub(crate) pwms: usize,
+    pub(crate) outputs_high: usize,
+    pub(crate) inputs_high: usize,
 }
 
 impl Shape {
@@ -31,6 +33,8 @@ impl Shape {
             stepgens: channels.stepgens as usize,
             encoders: channels.encoders as usize,
             pwms: channels.pwms as usize,
+            outputs_high: channels.outputs_high(),
+            inputs_high: channels.inputs_high(),
         }
     }
 }

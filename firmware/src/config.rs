@@ -5,6 +5,7 @@
 
 use crate::cores::Setting;
 use wire::Refusal;
+use wire::channels::WORD_PINS;
 use wire::describe::Channels;
 use wire::exchange::PWM_PERIOD_MAX;
 use wire::map::{
@@ -78,6 +79,9 @@ pub fn setting_at(address: u32, channels: Channels) -> Option<Setting> {
             1 => BoardConfig::WatchdogGrace,
             2 => BoardConfig::GpioSafe,
             3 => BoardConfig::GpioInvert,
+            5 if channels.outputs_high() != 0 => BoardConfig::GpioSafeHigh,
+            6 if channels.outputs_high() != 0 => BoardConfig::GpioInvertHigh,
+            5.. => return None,
             _ => BoardConfig::Probe,
         }),
         DEBOUNCE..DEBOUNCE_END => {
@@ -137,6 +141,7 @@ pub fn check(
         Setting::EncoderFilter(_) => 0..=ENCODER_FILTER_MAX,
         Setting::Debounce(_) => 0..=DEBOUNCE_MAX,
         Setting::Board(BoardConfig::Probe) => {
+            // Five bits: an input of the first word.
             let there = value & PROBE_INPUT_MASK < u32::from(channels.inputs);
             return allow(value & !PROBE_BITS == 0 && (there || value & PROBE_ENABLE == 0));
         }
@@ -148,7 +153,10 @@ pub fn check(
             clocks(WATCHDOG_SECONDS_MAX * u64::from(clock_hz))
         }
         Setting::Board(BoardConfig::GpioSafe | BoardConfig::GpioInvert) => {
-            0..=mask(channels.outputs)
+            0..=mask(channels.outputs.min(WORD_PINS))
+        }
+        Setting::Board(BoardConfig::GpioSafeHigh | BoardConfig::GpioInvertHigh) => {
+            0..=mask(channels.outputs.saturating_sub(WORD_PINS))
         }
     };
     allow(range.contains(&value))

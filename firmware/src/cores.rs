@@ -8,7 +8,7 @@ pub use crate::gate::Gate;
 use crate::pass::Pass;
 use wire::describe::Channels;
 use wire::map::BoardConfig;
-use wire::regmap::{CSR_PAGE, debounce, encoder, gpio, led, pwm, stepgen, watchdog};
+use wire::regmap::{CSR_PAGE, debounce, encoder, gpio, gpio_high, led, pwm, stepgen, watchdog};
 
 /// The gateware's identity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -117,6 +117,10 @@ impl Setting {
             Setting::Board(BoardConfig::GpioSafe) => (gpio::BASE, 0, gpio::SAFE),
             Setting::Board(BoardConfig::GpioInvert) => (gpio::BASE, 0, gpio::INVERT_OUT),
             Setting::Board(BoardConfig::Probe) => (gpio::BASE, 0, gpio::PROBE),
+            Setting::Board(BoardConfig::GpioSafeHigh) => (gpio_high::BASE, 0, gpio_high::SAFE),
+            Setting::Board(BoardConfig::GpioInvertHigh) => {
+                (gpio_high::BASE, 0, gpio_high::INVERT_OUT)
+            }
             Setting::Debounce(n) => (debounce::BASE, 0, debounce::IN0 + n as usize),
         };
         base + channel as usize * CSR_PAGE + word * 4

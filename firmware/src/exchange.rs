@@ -100,12 +100,14 @@ impl Server {
         }
         let stepgens = STATUS_STEPGEN * self.shape.stepgens;
         let encoders = STATUS_ENCODER * self.shape.encoders;
-        if let Some((of_stepgens, of_encoders)) = reply
-            .places(stepgens + encoders)
+        if let Some((of_stepgens, rest)) = reply
+            .places(stepgens + encoders + self.shape.inputs_high)
             .and_then(|places| places.split_at_mut_checked(stepgens))
         {
             copy(board, status::STEPGEN0_POSITION_LO, of_stepgens);
+            let (of_encoders, high) = rest.split_at_mut_checked(encoders).unwrap_or_default();
             copy(board, status::ENCODER0_COUNT, of_encoders);
+            copy(board, status::GPIO_IN_HIGH, high);
         }
         self.exchanged(head.flags);
         Ok(())
@@ -138,10 +140,12 @@ impl Server {
         };
         let common = head.get(command_word::ENABLES..).unwrap_or(&[]);
         let stepgens = COMMAND_STEPGEN * self.shape.stepgens;
-        let (stepgens, pwms) = channels.split_at_checked(stepgens).unwrap_or_default();
+        let (stepgens, rest) = channels.split_at_checked(stepgens).unwrap_or_default();
+        let (pwms, high) = rest.split_at_checked(self.shape.pwms).unwrap_or_default();
         stage(board, command::ENABLES, common);
         stage(board, command::STEPGEN0_VELOCITY, stepgens);
         stage(board, command::PWM0_WIDTH, pwms);
+        stage(board, command::GPIO_OUT_HIGH, high);
     }
 
     /// Makes the staged command take effect and samples every channel; returns the gate after that.

@@ -163,10 +163,12 @@ pub fn prepare(slot: &mut impl Slot, us: &Us, datagram: &Datagram, shape: &Shape
 pub fn runs(shape: &Shape) -> [u32; RUNS] {
     let mut frame = List::new();
     frame.words(timebase::PAGE, timebase::COMMIT_AT_LO, 2);
-    frame.words(command::PAGE, command::ENABLES, 4);
+    // The step generators' words are behind the common ones, on the page as in the frame.
+    let common = command::STEPGEN0_VELOCITY - command::ENABLES;
     let stepgens = COMMAND_STEPGEN * shape.stepgens;
-    frame.words(command::PAGE, command::STEPGEN0_VELOCITY, stepgens);
+    frame.words(command::PAGE, command::ENABLES, common + stepgens);
     frame.words(command::PAGE, command::PWM0_WIDTH, shape.pwms);
+    frame.words(command::PAGE, command::GPIO_OUT_HIGH, shape.outputs_high);
 
     let mut answer = List::new();
     let page = status::PAGE;
@@ -184,6 +186,7 @@ pub fn runs(shape: &Shape) -> [u32; RUNS] {
     answer.words(page, status::STEPGEN0_POSITION_LO, stepgens);
     let encoders = STATUS_ENCODER * shape.encoders;
     answer.words(page, status::ENCODER0_COUNT, encoders);
+    answer.words(page, status::GPIO_IN_HIGH, shape.inputs_high);
 
     let mut all = [0; RUNS];
     let (head, tail) = all.split_at_mut(FRAME_RUNS);
@@ -236,6 +239,7 @@ impl List {
 
     /// The list is complete.
     fn end(mut self, places: &mut [u32]) {
+        debug_assert!(self.count <= places.len(), "more runs than there are");
         self.mark(fast_path::RUN0_END);
         for (place, run) in places.iter_mut().zip(self.runs) {
             *place = run;

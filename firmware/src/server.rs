@@ -729,6 +729,7 @@ impl Server {
     fn status_word<B: Board>(&self, board: &mut B, word: usize, peer: Peer) -> u32 {
         let encoders_at = STATUS_HEAD + usize::from(self.ident.channels.stepgens) * STATUS_STEPGEN;
         let end = encoders_at + usize::from(self.ident.channels.encoders) * STATUS_ENCODER;
+        let high = end..end + self.ident.channels.inputs_high();
         match word {
             status_word::STATE => {
                 let gate = board.gate();
@@ -754,6 +755,7 @@ impl Server {
             _ if word >= encoders_at && word < end => {
                 board.latched(status::ENCODER0_COUNT + word - encoders_at)
             }
+            _ if high.contains(&word) => board.latched(status::GPIO_IN_HIGH),
             _ => 0,
         }
     }

@@ -10,8 +10,8 @@ use wire::Refusal;
 use wire::describe::Channels;
 use wire::map::{self, BoardConfig};
 use wire::regmap::{
-    self, ctrl, debounce, encoder, ethmac, ethphy, flash, gpio, ident, identifier_mem, led, pads,
-    pwm, rx_admission, segments, stepgen,
+    self, ctrl, debounce, encoder, ethmac, ethphy, flash, gpio, gpio_high, ident, identifier_mem,
+    led, pads, pwm, rx_admission, segments, stepgen,
 };
 
 const PAGE: u32 = regmap::CSR_PAGE as u32;
@@ -37,7 +37,10 @@ pub const fn readable(address: u32) -> bool {
     let offset = address.wrapping_sub(map::SERVICE);
     let page = offset / PAGE;
     page < flash::PAGE && PAGES >> page & 1 != 0
-        || matches!(page, rx_admission::PAGE | segments::PAGE | pads::PAGE)
+        || matches!(
+            page,
+            rx_admission::PAGE | segments::PAGE | pads::PAGE | gpio_high::PAGE
+        )
 }
 
 /// May this be written at all, and with this value? The caller has checked ownership and rest.
@@ -71,6 +74,12 @@ fn target(address: u32, channels: Channels) -> Result<Target, Refusal> {
         (led::PAGE, led::PATTERN) => return Ok(Target::Harmless),
         (gpio::PAGE, gpio::SAFE) => map::CONFIG_BOARD + 4 * BoardConfig::GpioSafe as u32,
         (gpio::PAGE, gpio::INVERT_OUT) => map::CONFIG_BOARD + 4 * BoardConfig::GpioInvert as u32,
+        (gpio_high::PAGE, gpio_high::SAFE) => {
+            map::CONFIG_BOARD + 4 * BoardConfig::GpioSafeHigh as u32
+        }
+        (gpio_high::PAGE, gpio_high::INVERT_OUT) => {
+            map::CONFIG_BOARD + 4 * BoardConfig::GpioInvertHigh as u32
+        }
         (gpio::PAGE, gpio::PROBE) => map::CONFIG_BOARD + 4 * BoardConfig::Probe as u32,
         (debounce::PAGE, 0..debounce::WORDS) => map::CONFIG_DEBOUNCE + 4 * word,
         (stepgen::PAGE..encoder::PAGE, _) if in_block => map::CONFIG_STEPGEN + block + 4 * word,

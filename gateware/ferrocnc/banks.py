@@ -468,36 +468,52 @@ class Cores(LiteXModule):
             fabric.live(b, name, value)
 
     def _gpio(self, fabric, channels, estop, estop_mask, estop_level, safe_mask, invert_mask):
-        n_in, n_out = len(self.pads.inputs), len(self.pads.outputs)
-        level, raw, latched, out = Signal(n_in), Signal(n_in), Signal(32), Signal(n_out)
-        value = fabric.storage(rm.COMMAND, "gpio_out", n_out)
-        # Before the firmware runs, the outputs have the board file's levels.
-        safe = fabric.storage(rm.GPIO, "safe", n_out, reset=safe_mask)
-        invert = fabric.storage(rm.GPIO, "invert_out", n_out, reset=invert_mask)
-        # The limits are written directly into the core's RAM: the low bits of the word's address
-        # are the input's number.
-        limit_we = fabric.write_page(rm.DEBOUNCE.page, max(1, channels.inputs))
-        self.specials += Instance("gpio",
-            p_INPUTS=n_in, p_OUTPUTS=n_out, p_ESTOP_MASK=Constant(estop_mask, 32), p_ESTOP_LEVEL=Constant(estop_level, 32),
-            p_JOBS=int(self.jobs > 0), i_job_mask=self.job.mask if self.job else 0,
-            i_job_value=Cat(self.job.aux, self.job.aux)[:n_out] if self.job else 0,
-            i_clk=self.clk, i_gate=self.gate, i_commit=self.commit,
-            i_value=value, i_safe=safe, i_invert=invert, i_in_pins=self.pads.inputs,
-            i_debounce_we=limit_we, i_debounce_pin=fabric.we_word[:5], i_debounce_limit=fabric.data[:16], i_clear=self.cleared,
-            o_in=level, o_raw=raw, o_estop=estop, o_estop_latched=latched, o_out_pins=out)
-        self.comb += self.pads.outputs.eq(out)
+        """The first word of inputs and outputs, with the e-stop inputs, and the word behind it,
+        where a board has so many pins: a core for each."""
+        pads, job, wide = self.pads, self.job, rm.WORD_PINS
+        latched = Signal(wide)
+        raw = self._gpio_word(
+            fabric, rm.GPIO, 0, ("gpio_out", "gpio_in"), channels, safe_mask, invert_mask,
+            p_ESTOP_MASK=Constant(estop_mask, wide), p_ESTOP_LEVEL=Constant(estop_level, wide), p_JOBS=int(self.jobs > 0),
+            i_job_mask=job.mask if job else 0, i_job_value=Cat(job.aux, job.aux)[:min(wide, len(pads.outputs))] if job else 0,
+            i_clear=self.cleared, o_estop=estop, o_estop_latched=latched)
         if channels.inputs:
-            fabric.live(rm.GPIO, "in_now", level)
-            fabric.live(rm.GPIO, "raw_now", raw)
-            self._sampled(fabric, "gpio_in", level)
-            self._sampled(fabric, "estop", latched[:n_in])
+            self._sampled(fabric, "estop", latched[:min(wide, channels.inputs)])
         fabric.live(rm.GPIO, "estop_mask", estop_mask)
         fabric.live(rm.GPIO, "estop_level", estop_level)
-        if channels.outputs:
-            fabric.live(rm.COMMAND, "gpio_out", value)
-            for name, value in (("safe", safe), ("invert_out", invert), ("out_now", out)):
-                fabric.live(rm.GPIO, name, value)
+        if max(channels.inputs, channels.outputs) > wide:
+            self._gpio_word(fabric, rm.GPIO_HIGH, wide, ("gpio_out_high", "gpio_in_high"), channels, safe_mask >> wide, invert_mask >> wide)
         self._probe(fabric, raw)
+
+    def _gpio_word(self, fabric, bank, first, names, channels, safe_mask, invert_mask, **more):
+        """Inputs and outputs from number `first` on, as many as a word has bits. Returns the
+        synchronised inputs."""
+        (command, status), pads = names, self.pads
+        has_in, has_out = (max(0, min(rm.WORD_PINS, count - first)) for count in (channels.inputs, channels.outputs))
+        n_in, n_out = max(1, has_in), max(1, has_out)
+        level, raw, out = Signal(n_in), Signal(n_in), Signal(n_out)
+        value = fabric.storage(rm.COMMAND, command, n_out)
+        # Before the firmware runs, the outputs have the board file's levels.
+        safe, invert = (fabric.storage(bank, name, n_out, reset=mask & (1 << n_out) - 1) for name, mask in (("safe", safe_mask), ("invert_out", invert_mask)))
+        # The limits are written directly into the core's RAM: the low bits of the word's address
+        # are the input's number.
+        limit_we = fabric.write_page(rm.DEBOUNCE.page, first + n_in) & (fabric.we_word[5] == first // rm.WORD_PINS)
+        self.specials += Instance("gpio",
+            p_INPUTS=n_in, p_OUTPUTS=n_out, i_clk=self.clk, i_gate=self.gate, i_commit=self.commit,
+            i_value=value, i_safe=safe, i_invert=invert, i_in_pins=pads.inputs[first:first + n_in] if has_in or not first else 0,
+            i_debounce_we=limit_we, i_debounce_pin=fabric.we_word[:5], i_debounce_limit=fabric.data[:16],
+            o_in=level, o_raw=raw, o_out_pins=out, **{"i_job_mask": 0, "i_job_value": 0, "i_clear": 0, **more})
+        if has_out or not first:
+            self.comb += pads.outputs[first:first + n_out].eq(out)
+        if has_in:
+            fabric.live(bank, "in_now", level)
+            fabric.live(bank, "raw_now", raw)
+            self._sampled(fabric, status, level)
+        if has_out:
+            fabric.live(rm.COMMAND, command, value)
+            for name, value in (("safe", safe), ("invert_out", invert), ("out_now", out)):
+                fabric.live(bank, name, value)
+        return raw
 
     def _probe(self, fabric, raw):
         """One probe for all channels: an input, one clock after `raw_now`. A filter would only
@@ -519,7 +535,7 @@ class Cores(LiteXModule):
         """Plays segments into the first `axes` step generators; returns the signals that those and
         the outputs need."""
         assert 1 <= axes <= min(rm.JOB_AXES_MAX, channels.stepgen), f"jobs of {axes} axes on a board with {channels.stepgen} step generators"
-        b, n_out = rm.SEGMENTS, max(1, channels.outputs)
+        b, n_out = rm.SEGMENTS, max(1, min(rm.WORD_PINS, channels.outputs))
         job = SimpleNamespace(
             **{name: Signal(name=f"job_{name}") for name in ("advance", "stop", "busy", "stage", "commit", "waits", "stopped")},
             at=Signal(4), word=Signal(32), data=Signal(32), aux=Signal(16), mask=fabric.storage(b, "mask", n_out))
@@ -733,7 +749,12 @@ class Cores(LiteXModule):
             levels = [getattr(self.pads, f"{half}_seen") for half in (low, high) if half]
             seen = [Signal(count) for _ in levels]
             self.specials += Instance("pads", p_PINS=count * len(levels), i_clk=self.clk, i_levels=Cat(*levels), o_seen=Cat(*seen))
-            fabric.live(b, name, Cat(seen[0], Constant(0, 16 - count), seen[1]) if high and count < 16 else Cat(*seen))
+            if high:
+                fabric.live(b, name, Cat(seen[0], Constant(0, 16 - count), seen[1]) if count < 16 else Cat(*seen))
+                continue
+            fabric.live(b, name, seen[0][:rm.WORD_PINS])
+            if count > rm.WORD_PINS:
+                fabric.live(b, f"{name}_high", seen[0][rm.WORD_PINS:])
 
     def _flags(self, fabric):
         def word(low, high):

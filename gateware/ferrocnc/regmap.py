@@ -24,7 +24,7 @@ ROM_TRAILER = 0x10  # the ROM's last bytes, which the linker does not use: the b
 RAM = (0x1000_0000, 0x4800)  # 18 KiB, 9 EBR: the window of the services, data, bss, stack
 RAM_PARTS = (4096, 512)
 ETHMAC = (0x8000_0000, 0x3000)  # 4 receive slots, then 2 transmit slots, 2 KiB each; uncached
-BOARD_ROM = (0x9000_0000, 0x800)  # the board info blob; uncached
+BOARD_ROM = (0x9000_0000, 0x1000)  # the board info blob; uncached
 # 8 MiB, on boards with SDRAM: the services, their data, the jobs; cached.
 SDRAM_RAM = (0x4000_0000, 0x80_0000)
 # The beginning of the RAM, which the services may write while the guard is closed.
@@ -46,8 +46,11 @@ LEASH_IRQ = 31  # the leash's line among the CPU's interrupts; no other is used
 MAX_STEPGEN = 16
 MAX_ENCODER = 16
 MAX_PWM = 16
-MAX_IN = 32
-MAX_OUT = 32
+MAX_IN = 64
+MAX_OUT = 64
+# Inputs and outputs of a word. Those behind the first word have registers of their own, and are
+# neither e-stop inputs nor the probe, and no job controls them.
+WORD_PINS = 32
 
 # LiteX's own pages, by LiteX's names --------------------------------------------------------------
 
@@ -250,8 +253,8 @@ WATCHDOG = Bank("watchdog", 10, "watchdog", "The gate every output passes, and t
     )),
 ))
 
-GPIO = Bank("gpio", 11, "gpio", "Digital inputs and outputs, one bit per pin. Outputs are set in "
-    "`command.gpio_out`.", (
+GPIO = Bank("gpio", 11, "gpio", "The first 32 digital inputs and outputs, one bit per pin. Outputs "
+    "are set in `command.gpio_out`.", (
     Reg("in_now", "ro", "Level of each input after its debounce, one bit per input."),
     Reg("safe", "rw", "Level each output takes while the gate is closed, one bit per output, "
         "before inversion."),
@@ -277,6 +280,19 @@ DEBOUNCE = Bank("debounce", 13, "debounce", "How long an input must be stable be
     Reg(f"in{n}", "rw", f"Time input {n} must keep a new level, in units of 32 clocks; 0 follows "
         "within 33 clocks.", (Field("visits", 0, 16, "Time in units of 32 clocks."),))
     for n in range(MAX_IN)))
+
+GPIO_HIGH = Bank("gpio_high", 69, "gpio_high", "Digital inputs and outputs 32 to 63, one bit per "
+    "pin: bit 0 is pin 32. Outputs are set in `command.gpio_out_high`. Boards with fewer pins read "
+    "0.", (
+    Reg("in_now", "ro", "Level of each input after its debounce, one bit per input."),
+    Reg("safe", "rw", "Level each output takes while the gate is closed, one bit per output, "
+        "before inversion."),
+    Reg("invert_out", "rw", "1 inverts the output at the pin, one bit per output; applies to the "
+        "safe level too."),
+    Reg("out_now", "ro", "Level each output pin carries now, one bit per output."),
+    Reg("raw_now", "ro", "Level of each input pin two clocks ago (synchronised, not debounced), "
+        "one bit per input."),
+))
 
 LED = Bank("led", 12, "led", "The board's one LED.", (
     Reg("pattern", "rw", "What the LED shows; blinking patterns repeat about once a second.", (
@@ -460,8 +476,10 @@ PADS = Bank("pads", 67, "pads", "Levels at the pads that the board drives, as th
         Field("pwm", 0, 16, "Bit n: the first pad of PWM n."),
         Field("dir", 16, 16, "Bit n: the second pad of PWM n."),
     )),
-    Reg("outputs", "ro", "Pads of the outputs, one bit per output; `gpio.out_now` is what drives "
-        "them."),
+    Reg("outputs", "ro", "Pads of the first 32 outputs, one bit per output; `gpio.out_now` is what "
+        "drives them."),
+    Reg("outputs_high", "ro", "Pads of outputs 32 to 63, one bit per output; `gpio_high.out_now` "
+        "is what drives them."),
 ))
 
 
@@ -474,8 +492,8 @@ def _command():
             Field("encoder_index", 16, 16, "Bit n: encoder n latches its count at the next index "
                 "pulse; 0 clears its latched flag."),
         )),
-        Reg("gpio_out", "rw", "Level of each output, one bit per output, before inversion; staged "
-            "until the commit strobe."),
+        Reg("gpio_out", "rw", "Level of each of the first 32 outputs, one bit per output, before "
+            "inversion; staged until the commit strobe."),
         Reg("arms", "rw", "Which step generators wait for an index and which encoders for the "
             "probe; staged until the commit strobe.", (
             Field("stepgen_index", 0, 16, "Bit n: step generator n latches its pulses at the next "
@@ -508,6 +526,8 @@ def _command():
             _bit("direction", 31, "1: reverse; the level of the direction output, or which of the "
                 "two outputs carries the pulses."),
         )))
+    regs.append(Reg("gpio_out_high", "rw", "Level of outputs 32 to 63, one bit per output, before "
+        "inversion; staged until the commit strobe."))
     return tuple(regs)
 
 
@@ -516,8 +536,8 @@ def _status():
         Reg("sample_lo", "ro", "Low word of the wall clock, in clocks, at the last sample strobe."),
         Reg("sample_hi", "ro", "High word of the wall clock, in units of 2^32 clocks, at the last "
             "sample strobe."),
-        Reg("gpio_in", "ro", "Level of each input after its debounce at the last sample strobe, "
-            "one bit per input."),
+        Reg("gpio_in", "ro", "Level of each of the first 32 inputs after its debounce at the last "
+            "sample strobe, one bit per input."),
         Reg("flags0", "ro", "One bit per channel, at the last sample strobe.", (
             Field("encoder_index", 0, 16, "Bit n: encoder n has latched its count at an index; "
                 "stays until its arm bit goes 0."),
@@ -562,8 +582,10 @@ def _status():
                     "power-up, a count modulo 256."),
             )),
         ]
+    regs.append(Reg("gpio_in_high", "ro", "Level of inputs 32 to 63 after their debounce at the "
+        "last sample strobe, one bit per input."))
     # The latches begin at a multiple of 32 words: selecting one is an OR (`fast_path.run0`).
-    regs += [Reg(f"reserved{n}", "ro", "Reads 0; no unit.") for n in range(8)]
+    regs += [Reg(f"reserved{n}", "ro", "Reads 0; no unit.") for n in range(7)]
     regs += [Reg(f"encoder{n}_latch", "ro", f"Count of encoder {n} at its latched index or probe, "
         "signed. Live, not sampled; holds while a flag is up.") for n in range(MAX_ENCODER)]
     regs += [Reg(f"stepgen{n}_latch", "ro", f"Pulses emitted by step generator {n} at its latched "
@@ -641,7 +663,7 @@ PWM = tuple(Bank(f"pwm{n}", 48 + n, "pwm", f"Period, kind and polarity of PWM {n
     for n in range(MAX_PWM))
 
 BANKS = (SDRAM, IDENT, TIMEBASE, WATCHDOG, GPIO, LED, DEBOUNCE, COMMAND, STATUS) + STEPGEN + (
-    ENCODER) + PWM + (FLASH, RX_ADMISSION, SEGMENTS, PADS, FAST_PATH)
+    ENCODER) + PWM + (FLASH, RX_ADMISSION, SEGMENTS, PADS, FAST_PATH, GPIO_HIGH)
 
 
 def check():

@@ -33,9 +33,9 @@ PORTS = (
     ("pwm_out", rm.MAX_PWM), ("pwm_dir", rm.MAX_PWM), ("gpio_in", rm.MAX_IN), ("gpio_out", rm.MAX_OUT),
     ("ext_reset", 1), ("led", 1), ("gate", 1), ("cpu_freeze", 1),
     ("spi_cs_n", 1), ("spi_clk", 1), ("spi_mosi", 1), ("spi_miso", 1), ("factory", 1), ("link_status", 4),
-    ("pad_fault", 2), ("pad_at", 7), ("pad_to", 7),
+    ("pad_fault", 2), ("pad_at", 8), ("pad_to", 8),
 )
-# Ports of pins that are driven, with the signal of `banks.Pads`: 16 bits each and 32, in the order
+# Ports of pins that are driven, with the signal of `banks.Pads`: 16 bits each and 64, in the order
 # in which `copper.sv` counts pads.
 DRIVEN = (("step", "step"), ("dir", "dir"), ("step_n", "step_n"), ("dir_n", "dir_n"), ("pwm_out", "pwm"), ("pwm_dir", "pwm_dir"), ("gpio_out", "outputs"))
 
@@ -153,7 +153,7 @@ class SimSoC(ferro.FerroSoC):
         levels, and so does what is read back."""
         absent = {name for kind, names in (("stepgen", ("step", "dir", "step_n", "dir_n")), ("pwm", ("pwm", "pwm_dir")), ("outputs", ("outputs",)))
                   if not getattr(channels, kind) for name in names}
-        widths, first, driven, levels = dict(PORTS), 0, Signal(128), Signal(128)
+        widths, first, driven, levels = dict(PORTS), 0, Signal(160), Signal(160)
         for port, name in DRIVEN:
             signal, seen = getattr(pads, name), getattr(pads, f"{name}_seen")
             if name not in absent:

@@ -1,6 +1,7 @@
 // The banks: every register of the map and the core it belongs to, over the CSR bus, for one board.
 #include "Vcores.h"
 #include "bench.h"
+#include <algorithm>
 #include <fstream>
 #include <map>
 #include <string>
@@ -36,14 +37,15 @@ struct Bus {
     bool sck_was = false;
     // What is at the pads is not what drives them, and must not matter to it: any levels at any
     // time.
-    uint32_t step_pads = 0, pwm_pads = 0, out_pads = 0;  // a bit per pin
+    uint32_t step_pads = 0, pwm_pads = 0;  // a bit per pin
+    uint64_t out_pads = 0;
     bool still = false;
     void pads() {
         auto &c = *b.core;
         c.step_seen = b.random.next() & step_pads, c.dir_seen = b.random.next() & step_pads;
         c.step_n_seen = b.random.next() & step_pads, c.dir_n_seen = b.random.next() & step_pads;
         c.pwm_seen = b.random.next() & pwm_pads, c.pwm_dir_seen = b.random.next() & pwm_pads;
-        c.outputs_seen = b.random.next() & out_pads;
+        c.outputs_seen = (b.random.next() | uint64_t(b.random.next()) << 32) & out_pads;
     }
     std::vector<uint32_t> beats = {0};  // of the PHY's clock, in so many clocks
     void clock() {
@@ -95,23 +97,27 @@ struct Bus {
 
 static std::string nth(const char *kind, unsigned n, const char *reg) { return kind + std::to_string(n) + reg; }
 
+// So many bits.
+static uint64_t lowest(unsigned count) { return count < 64 ? (1ull << count) - 1 : ~0ull; }
+
 struct Tests : Bus {
     Vcores &c = *b.core;
     Random &r = b.random;
     unsigned steps = 0, encoders = 0, pwms = 0, ins = 0, outs = 0;
-    uint32_t estops = 0, trigger = 0, free_inputs = 0;  // inputs, a bit each
+    uint64_t estops = 0, trigger = 0, free_inputs = 0;  // inputs, a bit each
     std::map<std::string, uint32_t> wrote;
     unsigned absent = 0;
 
     explicit Tests(B &b) : Bus(b) {}
 
     // No e-stop is active.
-    void drive(uint32_t levels) { c.inputs = (levels & free_inputs) | (estops & ~trigger); }
+    void drive(uint64_t levels) { c.inputs = (levels & free_inputs) | (estops & ~trigger); }
     bool present(const std::string &name) {
         for (auto [kind, n] : {std::pair{"stepgen", steps}, {"encoder", encoders}, {"pwm", pwms}})
             for (auto prefix : {std::string(kind), std::string("command.") + kind, std::string("status.") + kind})
                 if (name.rfind(prefix, 0) == 0 && isdigit(name[prefix.size()])) return unsigned(atoi(name.c_str() + prefix.size())) < n;
         if (name.rfind("debounce.in", 0) == 0) return unsigned(atoi(name.c_str() + 11)) < ins;
+        if (name == "command.gpio_out_high" || name == "gpio_high.safe" || name == "gpio_high.invert_out") return outs > 32;
         if (name.rfind("segments.", 0) == 0) return (read("ident.features") & 1) != 0;
         return true;
     }
@@ -152,10 +158,10 @@ struct Tests : Bus {
         steps = counts & 255, encoders = counts >> 8 & 255, pwms = counts >> 16 & 255, ins = pins & 255, outs = pins >> 8 & 255;
         CHECK(b, hz >= 10000000 && steps && encoders && pwms && ins && outs, "an empty board");
         CHECK(b, widest_step == (1u << steps) - 1, "%u step generators, pins %x", steps, widest_step);
-        step_pads = (1u << steps) - 1, pwm_pads = (1u << pwms) - 1, out_pads = uint32_t((1ull << outs) - 1);
+        step_pads = (1u << steps) - 1, pwm_pads = (1u << pwms) - 1, out_pads = lowest(outs);
         estops = read("gpio.estop_mask"), trigger = read("gpio.estop_level");
-        CHECK(b, estops && !(trigger & ~estops) && estops >> (ins - 1) == 1, "e-stop inputs %x, level %x", estops, trigger);
-        free_inputs = uint32_t((1ull << ins) - 1) & ~estops;
+        CHECK(b, estops && !(trigger & ~estops) && estops >> (std::min(ins, 32u) - 1) == 1, "e-stop inputs %llx, level %llx", (unsigned long long)estops, (unsigned long long)trigger);
+        free_inputs = lowest(ins) & ~estops;
         drive(0);
     }
     // Absent channels read 0 and ignore writes; present ones read back what was written.
@@ -168,7 +174,8 @@ struct Tests : Bus {
         }
         for (auto &[name, value] : wrote) {
             uint32_t mask = map[name].mask;
-            if (name == "gpio.safe" || name == "gpio.invert_out" || name == "command.gpio_out" || name == "segments.mask") mask = uint32_t((1ull << outs) - 1);
+            if (name == "gpio.safe" || name == "gpio.invert_out" || name == "command.gpio_out" || name == "segments.mask") mask = uint32_t(lowest(outs));
+            if (name == "gpio_high.safe" || name == "gpio_high.invert_out" || name == "command.gpio_out_high") mask = uint32_t(lowest(outs) >> 32);
             const uint32_t is = read(name);
             CHECK(b, (is & mask) == (value & mask), "%s reads %08x, wrote %08x", name.c_str(), is, value);
         }
@@ -211,14 +218,14 @@ struct Tests : Bus {
         still = true;
         for (unsigned round = 0; round < 200; round++) {
             auto all = [&] {
-                return std::vector<uint32_t>{c.step_seen | uint32_t(c.dir_seen) << 16, c.step_n_seen | uint32_t(c.dir_n_seen) << 16, c.pwm_seen | uint32_t(c.pwm_dir_seen) << 16, c.outputs_seen};
+                return std::vector<uint32_t>{c.step_seen | uint32_t(c.dir_seen) << 16, c.step_n_seen | uint32_t(c.dir_n_seen) << 16, c.pwm_seen | uint32_t(c.pwm_dir_seen) << 16, uint32_t(c.outputs_seen), uint32_t(c.outputs_seen >> 32)};
             };
-            static const char *const names[] = {"pads.step", "pads.step_n", "pads.pwm", "pads.outputs"};
+            static const char *const names[] = {"pads.step", "pads.step_n", "pads.pwm", "pads.outputs", "pads.outputs_high"};
             pads();
             run(2);
             const auto old = all();
-            for (unsigned n = 0; n < 4; n++) expect(names[n], old[n]);
-            const unsigned n = r.below(4);
+            for (unsigned n = 0; n < 5; n++) expect(names[n], old[n]);
+            const unsigned n = r.below(5);
             pads();
             expect(names[n], old[n]);
             expect(names[n], all()[n]);
@@ -248,6 +255,7 @@ struct Tests : Bus {
         }
         for (unsigned n = 0; n < pwms; n++) write(nth("command.pwm", n, "_width"), 0x40000000 | 100 << 8);
         write("command.gpio_out", 0x5a5a5a5a);
+        write("command.gpio_out_high", 0x1234567a);
         write("command.enables", 0x0000ffff);
         run(300);
         CHECK(b, c.step == 0 && c.pwm == 0 && c.outputs == 0, "moves before the strobe");
@@ -256,15 +264,16 @@ struct Tests : Bus {
         for (unsigned n = 0; n < steps; n++)
             CHECK(b, first_rise[n] && first_rise[n] == first_rise[0], "channels 0 and %u start at %llu and %llu", n, (unsigned long long)first_rise[0], (unsigned long long)first_rise[n]);
         CHECK(b, c.pwm == (1u << pwms) - 1, "pwm %x", c.pwm);
-        CHECK(b, c.outputs == (0x5a5a5a5a & ((1ull << outs) - 1)), "outputs %x", c.outputs);
-        expect("gpio.out_now", c.outputs);
+        CHECK(b, c.outputs == (0x1234567a5a5a5a5a & lowest(outs)), "outputs %llx", (unsigned long long)c.outputs);
+        expect("gpio.out_now", uint32_t(c.outputs));
+        expect("gpio_high.out_now", uint32_t(c.outputs >> 32));
     }
     // All words of it; coherent with the pins; reading changes nothing.
     void a_sample_is_of_one_clock() {
         for (unsigned round = 0; round < 200; round++) {
             for (unsigned n = 0; n < steps; n++) write(nth("command.stepgen", n, "_velocity"), r.one_in(6) ? 0x80000000 : uint32_t(r.next()));
             run(r.below(300));
-            drive(uint32_t(r.next()));
+            drive(r.next() | uint64_t(r.next()) << 32);
             run(40);  // a debouncer with limit 0 takes 35 clocks
             const auto at_strobe = pulses;
             c.adr = at("timebase.strobe"), c.dat_w = round & 1 ? 3 : 2, c.we = 1;
@@ -275,7 +284,8 @@ struct Tests : Bus {
             const uint64_t when = read64("status.sample");
             run(r.below(50));
             CHECK(b, when == read64("status.sample"), "reading changed the sample");
-            expect("status.gpio_in", c.inputs);
+            expect("status.gpio_in", uint32_t(c.inputs));
+            expect("status.gpio_in_high", uint32_t(c.inputs >> 32));
             for (unsigned n = 0; n < steps; n++) {
                 const int32_t hi = read(nth("status.stepgen", n, "_position_hi")), v = read(nth("status.stepgen", n, "_velocity"));
                 CHECK(b, hi == at_strobe[n] || hi == one_later[n], "stepgen %u: sample %d, pins %lld", n, hi, (long long)one_later[n]);
@@ -336,6 +346,7 @@ struct Tests : Bus {
     void a_timed_commit_comes_at_its_time() {
         for (unsigned round = 0; round < 50; round++) {
             write("command.gpio_out", 0);
+            write("command.gpio_out_high", 0);
             write("timebase.strobe", 1);
             write("command.gpio_out", ~0u);
             write("timebase.snapshot", 0);
@@ -451,6 +462,11 @@ struct Tests : Bus {
             arm(0, 0, 0, 0);
         }
     }
+    // All inputs, a bit each, in their two registers.
+    void levels(const std::string &name, uint64_t value) {
+        expect("gpio." + name, uint32_t(value));
+        expect("gpio_high." + name, uint32_t(value >> 32));
+    }
     // Of its debouncer, an input's own limit, and only its own.
     void each_input_has_its_limit() {
         for (unsigned n = 0; n < ins; n++) {
@@ -459,12 +475,12 @@ struct Tests : Bus {
             run(80);
             write("debounce.in" + std::to_string(n), 3);
             run(40);  // the limit is taken at the next visit
-            drive(~0u);
+            drive(~0ull);
             run(80);
-            expect("gpio.in_now", free_inputs & ~(1u << n) | (estops & ~trigger));
-            expect("gpio.raw_now", c.inputs);
+            levels("in_now", (free_inputs & ~(1ull << n)) | (estops & ~trigger));
+            levels("raw_now", c.inputs);
             run(80);
-            expect("gpio.in_now", c.inputs);
+            levels("in_now", c.inputs);
             write("debounce.in" + std::to_string(n), 0);
         }
     }
@@ -529,9 +545,11 @@ struct Tests : Bus {
         CHECK(b, read("watchdog.remaining") > 0xFFFFFF00, "not fed");
         write("gpio.safe", 0x0f);
         write("gpio.invert_out", 0x03);
+        write("gpio_high.safe", 0x0f);
+        write("gpio_high.invert_out", 0x03);
         write("watchdog.control", 0x53544f50);
         run(3);
-        CHECK(b, !c.gate && !c.step && !c.pwm && c.outputs == 0x0c, "STOP: gate %d step %x pwm %x out %x", c.gate, c.step, c.pwm, c.outputs);
+        CHECK(b, !c.gate && !c.step && !c.pwm && c.outputs == (0x0c0000000cull & lowest(outs)), "STOP: gate %d step %x pwm %x out %llx", c.gate, c.step, c.pwm, (unsigned long long)c.outputs);
         expect("watchdog.status", 0);
         expect("watchdog.last_close", 3);
         c.ext_reset = 1;
@@ -547,7 +565,7 @@ struct Tests : Bus {
     void every_estop_closes_the_gate() {
         for (unsigned n = 0; n < ins; n++) {
             if (!(estops >> n & 1)) continue;
-            c.inputs ^= 1u << n;
+            c.inputs ^= 1ull << n;
             run(4);
             CHECK(b, !c.gate, "e-stop input %u does not close the gate", n);
             write("watchdog.control", 0x434c5231);

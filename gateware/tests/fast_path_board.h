@@ -51,6 +51,7 @@ struct Board {
     uint32_t gate_was = 0, gate_said = 0, gate_when_taken = 0;
     unsigned taken = 0, commits = 0, longest_access = 0;
     unsigned stepgens = 0, encoders = 0, pwms = 0;
+    unsigned inputs_high = 0, outputs_high = 0;  // words for pins behind the first 32
     uint32_t sequence = 1;
 
     [[noreturn]] void fail(const char *format, ...) {
@@ -75,6 +76,8 @@ struct Board {
         CHECK(*this, read("ident.magic") == 0x46436e43, "no board");
         const uint32_t channels = read("ident.channels0");
         stepgens = channels & 255, encoders = channels >> 8 & 255, pwms = channels >> 16 & 255;
+        const uint32_t pins = read("ident.channels1");
+        inputs_high = (pins & 255) > 32, outputs_high = (pins >> 8 & 255) > 32;
         inputs = ~read("gpio.estop_mask");
         write("watchdog.timeout", TIMEOUT), write("watchdog.grace", GRACE);
         for (unsigned n = 0; n < stepgens; n++)
@@ -123,7 +126,7 @@ struct Board {
             const int at = gray[(clocks / 11 + n * 7 / 3) & 3];
             a |= (at & 1) << n, b |= (at >> 1) << n;
         }
-        pins->enc_a = a, pins->enc_b = b, pins->gpio_in = ((uint32_t)(clocks * 2654435761u) & inputs) | stopped;
+        pins->enc_a = a, pins->enc_b = b, pins->gpio_in = (((uint32_t)(clocks * 2654435761u) & inputs) | stopped) | (uint64_t)(uint32_t)(clocks * 2246822519u) << 32;
     }
     void wire_clock() {
         const Beat beat = sent < wire.size() ? wire[sent++] : Beat{0xdd, false, false};
@@ -205,10 +208,10 @@ struct Board {
     uint32_t token = 0;
 
     // ---- what firmware does ---------------------------------------------------------------------
-    unsigned command_words() const { return HEAD + 2 * stepgens + pwms; }
-    unsigned status_words() const { return 15 + 3 * stepgens + 2 * encoders; }
+    unsigned command_words() const { return HEAD + 2 * stepgens + pwms + outputs_high; }
+    unsigned status_words() const { return 15 + 3 * stepgens + 2 * encoders + inputs_high; }
     size_t answer_bytes() const { return 42 + 16 + 4 * status_words(); }
-    // The words behind: enables, outputs, arms, the selected latch, stepgens, PWMs.
+    // The words behind: enables, outputs, arms, the selected latch, stepgens, PWMs, more outputs.
     uint32_t any_word(unsigned n) {
         if (n == 0) return (1u << stepgens) - 1;
         if (n == 1) return random.next() & 0xfff;
@@ -254,17 +257,18 @@ struct Board {
             return (at / 0x800 & 7) << 7 | at % 0x800 / 4;
         };
         run(COPY, 2, number("timebase.commit_at_lo"));
-        run(COPY | (stepgens + pwms ? 0 : END), 4, number("command.enables"));
-        run(COPY | (pwms ? 0 : END), 2 * stepgens, number("command.stepgen0_velocity"));
-        run(COPY | END, pwms, number("command.pwm0_width"));
+        run(COPY | (pwms + outputs_high ? 0 : END), 4 + 2 * stepgens, number("command.enables"));
+        run(COPY | (outputs_high ? 0 : END), pwms, number("command.pwm0_width"));
+        run(COPY | END, outputs_high, number("command.gpio_out_high"));
         next = 4;
         run(SKIP, 8, 17);
         run(COPY, 2, number("status.sample_lo")), run(COPY, 2, number("status.sample_lo")), run(COPY, 1, number("status.left"));
         run(SKIP, 1, 24);
         run(COPY, 1, number("status.estop")), run(COPY, 4, number("status.gpio_in"));
-        run(COPY | SELECT | (stepgens + encoders ? 0 : END), 1, number("status.encoder0_latch"));
-        run(COPY | (encoders ? 0 : END), 3 * stepgens, number("status.stepgen0_position_lo"));
-        run(COPY | END, 2 * encoders, number("status.encoder0_count"));
+        run(COPY | SELECT | (stepgens + encoders + inputs_high ? 0 : END), 1, number("status.encoder0_latch"));
+        run(COPY | (encoders + inputs_high ? 0 : END), 3 * stepgens, number("status.stepgen0_position_lo"));
+        run(COPY | (inputs_high ? 0 : END), 2 * encoders, number("status.encoder0_count"));
+        run(COPY | END, inputs_high, number("status.gpio_in_high"));
     }
     // For each command. The answer carries three words that are its own.
     void hand_out(uint32_t number, uint32_t flags = 3, uint32_t gate = ARMED, bool executes = true, bool timed = false) {
@@ -304,6 +308,7 @@ struct Board {
         same(14, read("status.encoder0_latch", sent_words[AT_SELECT] >> 16 & 31), "latch");
         for (unsigned n = 0; n < 3 * stepgens; n++) same(15 + n, read("status.stepgen0_position_lo", n), "stepgen");
         for (unsigned n = 0; n < 2 * encoders; n++) same(15 + 3 * stepgens + n, read("status.encoder0_count", n), "encoder");
+        if (inputs_high) same(15 + 3 * stepgens + 2 * encoders, read("status.gpio_in_high"), "inputs from 32 on");
         check_staged(sent_words);
     }
     void check_staged(const Words &sent_words) {
@@ -315,6 +320,7 @@ struct Board {
         same("command.gpio_out", 0, words[1]), same("command.probe_arms", 0, words[3]);
         for (unsigned n = 0; n < 2 * stepgens; n++) same("command.stepgen0_velocity", n, words[4 + n]);
         for (unsigned n = 0; n < pwms; n++) same("command.pwm0_width", n, words[4 + 2 * stepgens + n]);
+        if (outputs_high) same("command.gpio_out_high", 0, words[4 + 2 * stepgens + pwms]);
     }
     // What has come was executed once, and answered.
     void check_executed(const std::string &what, const Words &words) {

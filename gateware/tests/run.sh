@@ -100,7 +100,7 @@ for bench in "$here"/*.cpp; do
     core=$(basename "$bench" .cpp)
     [ -z "$only" ] || [ "$only" = "$core" ] || continue
     case $core in
-        cores) boards=${BOARD:-mill6} ;;
+        cores) boards=${BOARD:-wide} ;;
         fast_path) boards=${BOARD:-mill6 max smallest} ;;
         *) boards=mill6 ;;
     esac

@@ -464,7 +464,8 @@ impl Driver {
             );
         }
         for (n, input) in self.blocks.inputs.iter().enumerate() {
-            input.sampled(status.gpio_in >> n & 1 != 0, status.estop >> n & 1 != 0);
+            let estop = u64::from(status.estop) >> n & 1 != 0;
+            input.sampled(status.gpio_in >> n & 1 != 0, estop);
         }
     }
 

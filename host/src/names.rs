@@ -83,7 +83,7 @@ impl core::fmt::Display for NamesError {
                         "LiteX-CNC numbers inputs and outputs in one row, in the order of its JSON, and the board does not say which number each had, so that its HAL file would switch the wrong outputs",
                     ),
                     RowError::NoNumber(text) => {
-                        write!(f, "the board says {text:?}, which is not a number from 0 to 63")
+                        write!(f, "the board says {text:?}, which is not a number from 0 to 127")
                     }
                     RowError::Twice(number) => {
                         write!(f, "the board gives the number {number} to two channels")

@@ -29,9 +29,9 @@ pub struct Disarmed {
     /// Watchdog timeout and grace.
     pub watchdog: [u32; 2],
     /// Which outputs are high while the gate is closed, before inversion.
-    pub gpio_safe: u32,
+    pub gpio_safe: u64,
     /// Which outputs are inverted.
-    pub gpio_invert: u32,
+    pub gpio_invert: u64,
     /// As [`map::BoardConfig::Probe`] takes it.
     pub probe: u32,
     /// Per input.
@@ -69,11 +69,20 @@ impl Group for Disarmed {
         for (n, word) in self.pwm_mode[..channels.pwms.into()].iter().enumerate() {
             request = request.write(at(map::CONFIG_PWM, n) + 4, &[*word]);
         }
+        let high = [self.gpio_safe, self.gpio_invert].map(|mask| (mask >> u32::BITS) as u32);
         request
             .write(map::CONFIG_BOARD, &self.watchdog)
             .write(
                 map::CONFIG_BOARD + 4 * map::BoardConfig::GpioSafe as u32,
-                &[self.gpio_safe, self.gpio_invert, self.probe],
+                &[self.gpio_safe as u32, self.gpio_invert as u32, self.probe],
+            )
+            .write(
+                map::CONFIG_BOARD + 4 * map::BoardConfig::GpioSafeHigh as u32,
+                if channels.outputs_high() == 0 {
+                    &[]
+                } else {
+                    &high
+                },
             )
             .write(
                 map::CONFIG_DEBOUNCE,
@@ -185,8 +194,8 @@ mod tests {
         stepgens: 16,
         encoders: 16,
         pwms: 16,
-        inputs: 32,
-        outputs: 32,
+        inputs: 64,
+        outputs: 64,
     };
 
     #[test]
@@ -197,7 +206,7 @@ mod tests {
             .unwrap();
         let packet = Packet::new_checked(request).unwrap();
         let written: usize = packet.records().map(|record| record.writes.len()).sum();
-        assert_eq!(written, 16 * 6 + 16 * 2 + 16 + 5 + 32);
+        assert_eq!(written, 16 * 6 + 16 * 2 + 16 + 7 + 64);
         assert_eq!(packet.records().last().unwrap().return_base, 7);
     }
 

@@ -4,7 +4,8 @@
 #[path = "common/fake_board.rs"]
 mod common;
 
-use common::rig::{PERIOD_NS, Rig};
+use common::FakeBoard;
+use common::rig::{LOCKSTEP, PERIOD_NS, Rig};
 use ferrocnc::names::Scheme;
 use std::time::Duration;
 use wire::{FaultReason, State, map};
@@ -334,6 +335,41 @@ fn the_external_reset_is_named_and_holds_until_it_is_gone() {
     rig.board.look().knobs.external_reset = false;
     rig.arm();
     assert!(rig.enabled());
+}
+
+#[test]
+fn pins_behind_the_first_32_travel_with_the_exchange_and_have_all_settings_but_the_probe() {
+    let channels = wire::describe::Channels {
+        stepgens: 1,
+        encoders: 0,
+        pwms: 0,
+        inputs: 64,
+        outputs: 56,
+    };
+    let mut rig = Rig::of(FakeBoard::of("127.0.0.1:0", channels, LOCKSTEP));
+    rig.hal.set("ferrocnc.0.gpio.40.invert", true);
+    rig.hal.set("ferrocnc.0.gpio.63.debounce-ns", 1_000_000u32);
+    rig.hal.set("ferrocnc.0.probe-input", 32);
+    rig.arm();
+    assert!(rig.enabled(), "{:?}", rig.hal.said());
+    rig.board.look().knobs.gpio_in = 1 << 63 | 1 << 31;
+    rig.hal.set("ferrocnc.0.gpio.55.out", true);
+    rig.run(3);
+    for n in 20..64 {
+        let level = rig.hal.get::<bool>(&format!("ferrocnc.0.gpio.{n:02}.in"));
+        assert_eq!(level, n == 31 || n == 63, "input {n}");
+    }
+    let board = rig.board.look();
+    assert_eq!(board.command.gpio_out, 1 << 55);
+    let setting = |which: map::BoardConfig| board.config[&(map::CONFIG_BOARD + 4 * which as u32)];
+    assert_eq!(setting(map::BoardConfig::GpioInvertHigh), 1 << 8);
+    assert_eq!(setting(map::BoardConfig::GpioInvert), 0);
+    assert_eq!(
+        setting(map::BoardConfig::Probe),
+        0,
+        "the probe is among the first 32"
+    );
+    assert_eq!(board.config[&(map::CONFIG_DEBOUNCE + 4 * 63)], 1875);
 }
 
 #[test]

@@ -302,9 +302,9 @@ fn a_board_that_mixes_inputs_and_outputs_and_does_not_say_their_row_is_refused_i
         assert!(said.contains(part), "{part} is not in: {said}");
     }
     assert!(
-        told(&FakeBoard::saying(&[(8, 0, "ogpio=64")]))
+        told(&FakeBoard::saying(&[(8, 0, "ogpio=128")]))
             .unwrap_err()
-            .contains("64")
+            .contains("128")
     );
     let twice = FakeBoard::saying(&[(8, 0, "ogpio=3"), (8, 4, "igpio=3")]);
     assert!(told(&twice).unwrap_err().contains("the number 3 to two"));

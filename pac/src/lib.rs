@@ -3132,14 +3132,14 @@ pub mod watchdog {
         impl crate::Resettable for LastCloseSpec {}
     }
 }
-#[doc = "Digital inputs and outputs, one bit per pin. Outputs are set in `command.gpio_out`."]
+#[doc = "The first 32 digital inputs and outputs, one bit per pin. Outputs are set in `command.gpio_out`."]
 pub type Gpio = crate::Periph<gpio::RegisterBlock, 0xf000_5800>;
 impl core::fmt::Debug for Gpio {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Gpio").finish()
     }
 }
-#[doc = "Digital inputs and outputs, one bit per pin. Outputs are set in `command.gpio_out`."]
+#[doc = "The first 32 digital inputs and outputs, one bit per pin. Outputs are set in `command.gpio_out`."]
 pub mod gpio {
     #[repr(C)]
     #[doc = "Register block"]
@@ -3674,6 +3674,38 @@ pub mod debounce {
         in29: In29,
         in30: In30,
         in31: In31,
+        in32: In32,
+        in33: In33,
+        in34: In34,
+        in35: In35,
+        in36: In36,
+        in37: In37,
+        in38: In38,
+        in39: In39,
+        in40: In40,
+        in41: In41,
+        in42: In42,
+        in43: In43,
+        in44: In44,
+        in45: In45,
+        in46: In46,
+        in47: In47,
+        in48: In48,
+        in49: In49,
+        in50: In50,
+        in51: In51,
+        in52: In52,
+        in53: In53,
+        in54: In54,
+        in55: In55,
+        in56: In56,
+        in57: In57,
+        in58: In58,
+        in59: In59,
+        in60: In60,
+        in61: In61,
+        in62: In62,
+        in63: In63,
     }
     impl RegisterBlock {
         #[doc = "0x00 - Time input 0 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
@@ -3835,6 +3867,166 @@ pub mod debounce {
         #[inline(always)]
         pub const fn in31(&self) -> &In31 {
             &self.in31
+        }
+        #[doc = "0x80 - Time input 32 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in32(&self) -> &In32 {
+            &self.in32
+        }
+        #[doc = "0x84 - Time input 33 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in33(&self) -> &In33 {
+            &self.in33
+        }
+        #[doc = "0x88 - Time input 34 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in34(&self) -> &In34 {
+            &self.in34
+        }
+        #[doc = "0x8c - Time input 35 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in35(&self) -> &In35 {
+            &self.in35
+        }
+        #[doc = "0x90 - Time input 36 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in36(&self) -> &In36 {
+            &self.in36
+        }
+        #[doc = "0x94 - Time input 37 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in37(&self) -> &In37 {
+            &self.in37
+        }
+        #[doc = "0x98 - Time input 38 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in38(&self) -> &In38 {
+            &self.in38
+        }
+        #[doc = "0x9c - Time input 39 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in39(&self) -> &In39 {
+            &self.in39
+        }
+        #[doc = "0xa0 - Time input 40 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in40(&self) -> &In40 {
+            &self.in40
+        }
+        #[doc = "0xa4 - Time input 41 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in41(&self) -> &In41 {
+            &self.in41
+        }
+        #[doc = "0xa8 - Time input 42 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in42(&self) -> &In42 {
+            &self.in42
+        }
+        #[doc = "0xac - Time input 43 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in43(&self) -> &In43 {
+            &self.in43
+        }
+        #[doc = "0xb0 - Time input 44 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in44(&self) -> &In44 {
+            &self.in44
+        }
+        #[doc = "0xb4 - Time input 45 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in45(&self) -> &In45 {
+            &self.in45
+        }
+        #[doc = "0xb8 - Time input 46 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in46(&self) -> &In46 {
+            &self.in46
+        }
+        #[doc = "0xbc - Time input 47 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in47(&self) -> &In47 {
+            &self.in47
+        }
+        #[doc = "0xc0 - Time input 48 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in48(&self) -> &In48 {
+            &self.in48
+        }
+        #[doc = "0xc4 - Time input 49 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in49(&self) -> &In49 {
+            &self.in49
+        }
+        #[doc = "0xc8 - Time input 50 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in50(&self) -> &In50 {
+            &self.in50
+        }
+        #[doc = "0xcc - Time input 51 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in51(&self) -> &In51 {
+            &self.in51
+        }
+        #[doc = "0xd0 - Time input 52 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in52(&self) -> &In52 {
+            &self.in52
+        }
+        #[doc = "0xd4 - Time input 53 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in53(&self) -> &In53 {
+            &self.in53
+        }
+        #[doc = "0xd8 - Time input 54 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in54(&self) -> &In54 {
+            &self.in54
+        }
+        #[doc = "0xdc - Time input 55 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in55(&self) -> &In55 {
+            &self.in55
+        }
+        #[doc = "0xe0 - Time input 56 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in56(&self) -> &In56 {
+            &self.in56
+        }
+        #[doc = "0xe4 - Time input 57 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in57(&self) -> &In57 {
+            &self.in57
+        }
+        #[doc = "0xe8 - Time input 58 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in58(&self) -> &In58 {
+            &self.in58
+        }
+        #[doc = "0xec - Time input 59 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in59(&self) -> &In59 {
+            &self.in59
+        }
+        #[doc = "0xf0 - Time input 60 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in60(&self) -> &In60 {
+            &self.in60
+        }
+        #[doc = "0xf4 - Time input 61 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in61(&self) -> &In61 {
+            &self.in61
+        }
+        #[doc = "0xf8 - Time input 62 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in62(&self) -> &In62 {
+            &self.in62
+        }
+        #[doc = "0xfc - Time input 63 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in63(&self) -> &In63 {
+            &self.in63
         }
     }
     #[doc = "IN0 (rw) register accessor: Time input 0 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in0::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in0::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in0`] module"]
@@ -5149,6 +5341,1318 @@ pub mod debounce {
         #[doc = "`reset()` method sets IN31 to value 0"]
         impl crate::Resettable for In31Spec {}
     }
+    #[doc = "IN32 (rw) register accessor: Time input 32 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in32::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in32::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in32`] module"]
+    #[doc(alias = "IN32")]
+    pub type In32 = crate::Reg<in32::In32Spec>;
+    #[doc = "Time input 32 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in32 {
+        #[doc = "Register `IN32` reader"]
+        pub type R = crate::R<In32Spec>;
+        #[doc = "Register `IN32` writer"]
+        pub type W = crate::W<In32Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In32Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 32 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in32::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in32::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In32Spec;
+        impl crate::RegisterSpec for In32Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in32::R`](R) reader structure"]
+        impl crate::Readable for In32Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in32::W`](W) writer structure"]
+        impl crate::Writable for In32Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN32 to value 0"]
+        impl crate::Resettable for In32Spec {}
+    }
+    #[doc = "IN33 (rw) register accessor: Time input 33 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in33::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in33::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in33`] module"]
+    #[doc(alias = "IN33")]
+    pub type In33 = crate::Reg<in33::In33Spec>;
+    #[doc = "Time input 33 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in33 {
+        #[doc = "Register `IN33` reader"]
+        pub type R = crate::R<In33Spec>;
+        #[doc = "Register `IN33` writer"]
+        pub type W = crate::W<In33Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In33Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 33 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in33::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in33::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In33Spec;
+        impl crate::RegisterSpec for In33Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in33::R`](R) reader structure"]
+        impl crate::Readable for In33Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in33::W`](W) writer structure"]
+        impl crate::Writable for In33Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN33 to value 0"]
+        impl crate::Resettable for In33Spec {}
+    }
+    #[doc = "IN34 (rw) register accessor: Time input 34 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in34::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in34::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in34`] module"]
+    #[doc(alias = "IN34")]
+    pub type In34 = crate::Reg<in34::In34Spec>;
+    #[doc = "Time input 34 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in34 {
+        #[doc = "Register `IN34` reader"]
+        pub type R = crate::R<In34Spec>;
+        #[doc = "Register `IN34` writer"]
+        pub type W = crate::W<In34Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In34Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 34 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in34::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in34::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In34Spec;
+        impl crate::RegisterSpec for In34Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in34::R`](R) reader structure"]
+        impl crate::Readable for In34Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in34::W`](W) writer structure"]
+        impl crate::Writable for In34Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN34 to value 0"]
+        impl crate::Resettable for In34Spec {}
+    }
+    #[doc = "IN35 (rw) register accessor: Time input 35 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in35::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in35::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in35`] module"]
+    #[doc(alias = "IN35")]
+    pub type In35 = crate::Reg<in35::In35Spec>;
+    #[doc = "Time input 35 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in35 {
+        #[doc = "Register `IN35` reader"]
+        pub type R = crate::R<In35Spec>;
+        #[doc = "Register `IN35` writer"]
+        pub type W = crate::W<In35Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In35Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 35 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in35::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in35::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In35Spec;
+        impl crate::RegisterSpec for In35Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in35::R`](R) reader structure"]
+        impl crate::Readable for In35Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in35::W`](W) writer structure"]
+        impl crate::Writable for In35Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN35 to value 0"]
+        impl crate::Resettable for In35Spec {}
+    }
+    #[doc = "IN36 (rw) register accessor: Time input 36 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in36::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in36::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in36`] module"]
+    #[doc(alias = "IN36")]
+    pub type In36 = crate::Reg<in36::In36Spec>;
+    #[doc = "Time input 36 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in36 {
+        #[doc = "Register `IN36` reader"]
+        pub type R = crate::R<In36Spec>;
+        #[doc = "Register `IN36` writer"]
+        pub type W = crate::W<In36Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In36Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 36 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in36::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in36::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In36Spec;
+        impl crate::RegisterSpec for In36Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in36::R`](R) reader structure"]
+        impl crate::Readable for In36Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in36::W`](W) writer structure"]
+        impl crate::Writable for In36Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN36 to value 0"]
+        impl crate::Resettable for In36Spec {}
+    }
+    #[doc = "IN37 (rw) register accessor: Time input 37 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in37::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in37::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in37`] module"]
+    #[doc(alias = "IN37")]
+    pub type In37 = crate::Reg<in37::In37Spec>;
+    #[doc = "Time input 37 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in37 {
+        #[doc = "Register `IN37` reader"]
+        pub type R = crate::R<In37Spec>;
+        #[doc = "Register `IN37` writer"]
+        pub type W = crate::W<In37Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In37Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 37 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in37::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in37::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In37Spec;
+        impl crate::RegisterSpec for In37Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in37::R`](R) reader structure"]
+        impl crate::Readable for In37Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in37::W`](W) writer structure"]
+        impl crate::Writable for In37Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN37 to value 0"]
+        impl crate::Resettable for In37Spec {}
+    }
+    #[doc = "IN38 (rw) register accessor: Time input 38 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in38::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in38::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in38`] module"]
+    #[doc(alias = "IN38")]
+    pub type In38 = crate::Reg<in38::In38Spec>;
+    #[doc = "Time input 38 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in38 {
+        #[doc = "Register `IN38` reader"]
+        pub type R = crate::R<In38Spec>;
+        #[doc = "Register `IN38` writer"]
+        pub type W = crate::W<In38Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In38Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 38 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in38::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in38::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In38Spec;
+        impl crate::RegisterSpec for In38Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in38::R`](R) reader structure"]
+        impl crate::Readable for In38Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in38::W`](W) writer structure"]
+        impl crate::Writable for In38Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN38 to value 0"]
+        impl crate::Resettable for In38Spec {}
+    }
+    #[doc = "IN39 (rw) register accessor: Time input 39 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in39::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in39::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in39`] module"]
+    #[doc(alias = "IN39")]
+    pub type In39 = crate::Reg<in39::In39Spec>;
+    #[doc = "Time input 39 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in39 {
+        #[doc = "Register `IN39` reader"]
+        pub type R = crate::R<In39Spec>;
+        #[doc = "Register `IN39` writer"]
+        pub type W = crate::W<In39Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In39Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 39 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in39::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in39::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In39Spec;
+        impl crate::RegisterSpec for In39Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in39::R`](R) reader structure"]
+        impl crate::Readable for In39Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in39::W`](W) writer structure"]
+        impl crate::Writable for In39Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN39 to value 0"]
+        impl crate::Resettable for In39Spec {}
+    }
+    #[doc = "IN40 (rw) register accessor: Time input 40 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in40::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in40::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in40`] module"]
+    #[doc(alias = "IN40")]
+    pub type In40 = crate::Reg<in40::In40Spec>;
+    #[doc = "Time input 40 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in40 {
+        #[doc = "Register `IN40` reader"]
+        pub type R = crate::R<In40Spec>;
+        #[doc = "Register `IN40` writer"]
+        pub type W = crate::W<In40Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In40Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 40 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in40::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in40::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In40Spec;
+        impl crate::RegisterSpec for In40Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in40::R`](R) reader structure"]
+        impl crate::Readable for In40Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in40::W`](W) writer structure"]
+        impl crate::Writable for In40Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN40 to value 0"]
+        impl crate::Resettable for In40Spec {}
+    }
+    #[doc = "IN41 (rw) register accessor: Time input 41 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in41::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in41::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in41`] module"]
+    #[doc(alias = "IN41")]
+    pub type In41 = crate::Reg<in41::In41Spec>;
+    #[doc = "Time input 41 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in41 {
+        #[doc = "Register `IN41` reader"]
+        pub type R = crate::R<In41Spec>;
+        #[doc = "Register `IN41` writer"]
+        pub type W = crate::W<In41Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In41Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 41 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in41::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in41::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In41Spec;
+        impl crate::RegisterSpec for In41Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in41::R`](R) reader structure"]
+        impl crate::Readable for In41Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in41::W`](W) writer structure"]
+        impl crate::Writable for In41Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN41 to value 0"]
+        impl crate::Resettable for In41Spec {}
+    }
+    #[doc = "IN42 (rw) register accessor: Time input 42 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in42::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in42::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in42`] module"]
+    #[doc(alias = "IN42")]
+    pub type In42 = crate::Reg<in42::In42Spec>;
+    #[doc = "Time input 42 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in42 {
+        #[doc = "Register `IN42` reader"]
+        pub type R = crate::R<In42Spec>;
+        #[doc = "Register `IN42` writer"]
+        pub type W = crate::W<In42Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In42Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 42 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in42::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in42::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In42Spec;
+        impl crate::RegisterSpec for In42Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in42::R`](R) reader structure"]
+        impl crate::Readable for In42Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in42::W`](W) writer structure"]
+        impl crate::Writable for In42Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN42 to value 0"]
+        impl crate::Resettable for In42Spec {}
+    }
+    #[doc = "IN43 (rw) register accessor: Time input 43 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in43::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in43::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in43`] module"]
+    #[doc(alias = "IN43")]
+    pub type In43 = crate::Reg<in43::In43Spec>;
+    #[doc = "Time input 43 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in43 {
+        #[doc = "Register `IN43` reader"]
+        pub type R = crate::R<In43Spec>;
+        #[doc = "Register `IN43` writer"]
+        pub type W = crate::W<In43Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In43Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 43 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in43::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in43::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In43Spec;
+        impl crate::RegisterSpec for In43Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in43::R`](R) reader structure"]
+        impl crate::Readable for In43Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in43::W`](W) writer structure"]
+        impl crate::Writable for In43Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN43 to value 0"]
+        impl crate::Resettable for In43Spec {}
+    }
+    #[doc = "IN44 (rw) register accessor: Time input 44 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in44::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in44::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in44`] module"]
+    #[doc(alias = "IN44")]
+    pub type In44 = crate::Reg<in44::In44Spec>;
+    #[doc = "Time input 44 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in44 {
+        #[doc = "Register `IN44` reader"]
+        pub type R = crate::R<In44Spec>;
+        #[doc = "Register `IN44` writer"]
+        pub type W = crate::W<In44Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In44Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 44 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in44::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in44::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In44Spec;
+        impl crate::RegisterSpec for In44Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in44::R`](R) reader structure"]
+        impl crate::Readable for In44Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in44::W`](W) writer structure"]
+        impl crate::Writable for In44Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN44 to value 0"]
+        impl crate::Resettable for In44Spec {}
+    }
+    #[doc = "IN45 (rw) register accessor: Time input 45 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in45::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in45::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in45`] module"]
+    #[doc(alias = "IN45")]
+    pub type In45 = crate::Reg<in45::In45Spec>;
+    #[doc = "Time input 45 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in45 {
+        #[doc = "Register `IN45` reader"]
+        pub type R = crate::R<In45Spec>;
+        #[doc = "Register `IN45` writer"]
+        pub type W = crate::W<In45Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In45Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 45 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in45::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in45::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In45Spec;
+        impl crate::RegisterSpec for In45Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in45::R`](R) reader structure"]
+        impl crate::Readable for In45Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in45::W`](W) writer structure"]
+        impl crate::Writable for In45Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN45 to value 0"]
+        impl crate::Resettable for In45Spec {}
+    }
+    #[doc = "IN46 (rw) register accessor: Time input 46 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in46::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in46::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in46`] module"]
+    #[doc(alias = "IN46")]
+    pub type In46 = crate::Reg<in46::In46Spec>;
+    #[doc = "Time input 46 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in46 {
+        #[doc = "Register `IN46` reader"]
+        pub type R = crate::R<In46Spec>;
+        #[doc = "Register `IN46` writer"]
+        pub type W = crate::W<In46Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In46Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 46 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in46::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in46::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In46Spec;
+        impl crate::RegisterSpec for In46Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in46::R`](R) reader structure"]
+        impl crate::Readable for In46Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in46::W`](W) writer structure"]
+        impl crate::Writable for In46Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN46 to value 0"]
+        impl crate::Resettable for In46Spec {}
+    }
+    #[doc = "IN47 (rw) register accessor: Time input 47 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in47::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in47::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in47`] module"]
+    #[doc(alias = "IN47")]
+    pub type In47 = crate::Reg<in47::In47Spec>;
+    #[doc = "Time input 47 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in47 {
+        #[doc = "Register `IN47` reader"]
+        pub type R = crate::R<In47Spec>;
+        #[doc = "Register `IN47` writer"]
+        pub type W = crate::W<In47Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In47Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 47 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in47::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in47::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In47Spec;
+        impl crate::RegisterSpec for In47Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in47::R`](R) reader structure"]
+        impl crate::Readable for In47Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in47::W`](W) writer structure"]
+        impl crate::Writable for In47Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN47 to value 0"]
+        impl crate::Resettable for In47Spec {}
+    }
+    #[doc = "IN48 (rw) register accessor: Time input 48 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in48::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in48::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in48`] module"]
+    #[doc(alias = "IN48")]
+    pub type In48 = crate::Reg<in48::In48Spec>;
+    #[doc = "Time input 48 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in48 {
+        #[doc = "Register `IN48` reader"]
+        pub type R = crate::R<In48Spec>;
+        #[doc = "Register `IN48` writer"]
+        pub type W = crate::W<In48Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In48Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 48 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in48::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in48::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In48Spec;
+        impl crate::RegisterSpec for In48Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in48::R`](R) reader structure"]
+        impl crate::Readable for In48Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in48::W`](W) writer structure"]
+        impl crate::Writable for In48Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN48 to value 0"]
+        impl crate::Resettable for In48Spec {}
+    }
+    #[doc = "IN49 (rw) register accessor: Time input 49 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in49::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in49::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in49`] module"]
+    #[doc(alias = "IN49")]
+    pub type In49 = crate::Reg<in49::In49Spec>;
+    #[doc = "Time input 49 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in49 {
+        #[doc = "Register `IN49` reader"]
+        pub type R = crate::R<In49Spec>;
+        #[doc = "Register `IN49` writer"]
+        pub type W = crate::W<In49Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In49Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 49 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in49::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in49::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In49Spec;
+        impl crate::RegisterSpec for In49Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in49::R`](R) reader structure"]
+        impl crate::Readable for In49Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in49::W`](W) writer structure"]
+        impl crate::Writable for In49Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN49 to value 0"]
+        impl crate::Resettable for In49Spec {}
+    }
+    #[doc = "IN50 (rw) register accessor: Time input 50 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in50::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in50::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in50`] module"]
+    #[doc(alias = "IN50")]
+    pub type In50 = crate::Reg<in50::In50Spec>;
+    #[doc = "Time input 50 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in50 {
+        #[doc = "Register `IN50` reader"]
+        pub type R = crate::R<In50Spec>;
+        #[doc = "Register `IN50` writer"]
+        pub type W = crate::W<In50Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In50Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 50 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in50::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in50::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In50Spec;
+        impl crate::RegisterSpec for In50Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in50::R`](R) reader structure"]
+        impl crate::Readable for In50Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in50::W`](W) writer structure"]
+        impl crate::Writable for In50Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN50 to value 0"]
+        impl crate::Resettable for In50Spec {}
+    }
+    #[doc = "IN51 (rw) register accessor: Time input 51 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in51::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in51::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in51`] module"]
+    #[doc(alias = "IN51")]
+    pub type In51 = crate::Reg<in51::In51Spec>;
+    #[doc = "Time input 51 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in51 {
+        #[doc = "Register `IN51` reader"]
+        pub type R = crate::R<In51Spec>;
+        #[doc = "Register `IN51` writer"]
+        pub type W = crate::W<In51Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In51Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 51 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in51::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in51::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In51Spec;
+        impl crate::RegisterSpec for In51Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in51::R`](R) reader structure"]
+        impl crate::Readable for In51Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in51::W`](W) writer structure"]
+        impl crate::Writable for In51Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN51 to value 0"]
+        impl crate::Resettable for In51Spec {}
+    }
+    #[doc = "IN52 (rw) register accessor: Time input 52 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in52::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in52::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in52`] module"]
+    #[doc(alias = "IN52")]
+    pub type In52 = crate::Reg<in52::In52Spec>;
+    #[doc = "Time input 52 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in52 {
+        #[doc = "Register `IN52` reader"]
+        pub type R = crate::R<In52Spec>;
+        #[doc = "Register `IN52` writer"]
+        pub type W = crate::W<In52Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In52Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 52 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in52::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in52::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In52Spec;
+        impl crate::RegisterSpec for In52Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in52::R`](R) reader structure"]
+        impl crate::Readable for In52Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in52::W`](W) writer structure"]
+        impl crate::Writable for In52Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN52 to value 0"]
+        impl crate::Resettable for In52Spec {}
+    }
+    #[doc = "IN53 (rw) register accessor: Time input 53 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in53::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in53::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in53`] module"]
+    #[doc(alias = "IN53")]
+    pub type In53 = crate::Reg<in53::In53Spec>;
+    #[doc = "Time input 53 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in53 {
+        #[doc = "Register `IN53` reader"]
+        pub type R = crate::R<In53Spec>;
+        #[doc = "Register `IN53` writer"]
+        pub type W = crate::W<In53Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In53Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 53 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in53::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in53::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In53Spec;
+        impl crate::RegisterSpec for In53Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in53::R`](R) reader structure"]
+        impl crate::Readable for In53Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in53::W`](W) writer structure"]
+        impl crate::Writable for In53Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN53 to value 0"]
+        impl crate::Resettable for In53Spec {}
+    }
+    #[doc = "IN54 (rw) register accessor: Time input 54 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in54::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in54::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in54`] module"]
+    #[doc(alias = "IN54")]
+    pub type In54 = crate::Reg<in54::In54Spec>;
+    #[doc = "Time input 54 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in54 {
+        #[doc = "Register `IN54` reader"]
+        pub type R = crate::R<In54Spec>;
+        #[doc = "Register `IN54` writer"]
+        pub type W = crate::W<In54Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In54Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 54 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in54::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in54::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In54Spec;
+        impl crate::RegisterSpec for In54Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in54::R`](R) reader structure"]
+        impl crate::Readable for In54Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in54::W`](W) writer structure"]
+        impl crate::Writable for In54Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN54 to value 0"]
+        impl crate::Resettable for In54Spec {}
+    }
+    #[doc = "IN55 (rw) register accessor: Time input 55 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in55::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in55::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in55`] module"]
+    #[doc(alias = "IN55")]
+    pub type In55 = crate::Reg<in55::In55Spec>;
+    #[doc = "Time input 55 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in55 {
+        #[doc = "Register `IN55` reader"]
+        pub type R = crate::R<In55Spec>;
+        #[doc = "Register `IN55` writer"]
+        pub type W = crate::W<In55Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In55Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 55 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in55::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in55::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In55Spec;
+        impl crate::RegisterSpec for In55Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in55::R`](R) reader structure"]
+        impl crate::Readable for In55Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in55::W`](W) writer structure"]
+        impl crate::Writable for In55Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN55 to value 0"]
+        impl crate::Resettable for In55Spec {}
+    }
+    #[doc = "IN56 (rw) register accessor: Time input 56 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in56::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in56::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in56`] module"]
+    #[doc(alias = "IN56")]
+    pub type In56 = crate::Reg<in56::In56Spec>;
+    #[doc = "Time input 56 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in56 {
+        #[doc = "Register `IN56` reader"]
+        pub type R = crate::R<In56Spec>;
+        #[doc = "Register `IN56` writer"]
+        pub type W = crate::W<In56Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In56Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 56 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in56::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in56::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In56Spec;
+        impl crate::RegisterSpec for In56Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in56::R`](R) reader structure"]
+        impl crate::Readable for In56Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in56::W`](W) writer structure"]
+        impl crate::Writable for In56Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN56 to value 0"]
+        impl crate::Resettable for In56Spec {}
+    }
+    #[doc = "IN57 (rw) register accessor: Time input 57 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in57::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in57::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in57`] module"]
+    #[doc(alias = "IN57")]
+    pub type In57 = crate::Reg<in57::In57Spec>;
+    #[doc = "Time input 57 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in57 {
+        #[doc = "Register `IN57` reader"]
+        pub type R = crate::R<In57Spec>;
+        #[doc = "Register `IN57` writer"]
+        pub type W = crate::W<In57Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In57Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 57 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in57::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in57::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In57Spec;
+        impl crate::RegisterSpec for In57Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in57::R`](R) reader structure"]
+        impl crate::Readable for In57Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in57::W`](W) writer structure"]
+        impl crate::Writable for In57Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN57 to value 0"]
+        impl crate::Resettable for In57Spec {}
+    }
+    #[doc = "IN58 (rw) register accessor: Time input 58 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in58::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in58::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in58`] module"]
+    #[doc(alias = "IN58")]
+    pub type In58 = crate::Reg<in58::In58Spec>;
+    #[doc = "Time input 58 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in58 {
+        #[doc = "Register `IN58` reader"]
+        pub type R = crate::R<In58Spec>;
+        #[doc = "Register `IN58` writer"]
+        pub type W = crate::W<In58Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In58Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 58 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in58::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in58::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In58Spec;
+        impl crate::RegisterSpec for In58Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in58::R`](R) reader structure"]
+        impl crate::Readable for In58Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in58::W`](W) writer structure"]
+        impl crate::Writable for In58Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN58 to value 0"]
+        impl crate::Resettable for In58Spec {}
+    }
+    #[doc = "IN59 (rw) register accessor: Time input 59 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in59::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in59::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in59`] module"]
+    #[doc(alias = "IN59")]
+    pub type In59 = crate::Reg<in59::In59Spec>;
+    #[doc = "Time input 59 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in59 {
+        #[doc = "Register `IN59` reader"]
+        pub type R = crate::R<In59Spec>;
+        #[doc = "Register `IN59` writer"]
+        pub type W = crate::W<In59Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In59Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 59 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in59::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in59::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In59Spec;
+        impl crate::RegisterSpec for In59Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in59::R`](R) reader structure"]
+        impl crate::Readable for In59Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in59::W`](W) writer structure"]
+        impl crate::Writable for In59Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN59 to value 0"]
+        impl crate::Resettable for In59Spec {}
+    }
+    #[doc = "IN60 (rw) register accessor: Time input 60 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in60::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in60::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in60`] module"]
+    #[doc(alias = "IN60")]
+    pub type In60 = crate::Reg<in60::In60Spec>;
+    #[doc = "Time input 60 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in60 {
+        #[doc = "Register `IN60` reader"]
+        pub type R = crate::R<In60Spec>;
+        #[doc = "Register `IN60` writer"]
+        pub type W = crate::W<In60Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In60Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 60 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in60::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in60::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In60Spec;
+        impl crate::RegisterSpec for In60Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in60::R`](R) reader structure"]
+        impl crate::Readable for In60Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in60::W`](W) writer structure"]
+        impl crate::Writable for In60Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN60 to value 0"]
+        impl crate::Resettable for In60Spec {}
+    }
+    #[doc = "IN61 (rw) register accessor: Time input 61 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in61::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in61::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in61`] module"]
+    #[doc(alias = "IN61")]
+    pub type In61 = crate::Reg<in61::In61Spec>;
+    #[doc = "Time input 61 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in61 {
+        #[doc = "Register `IN61` reader"]
+        pub type R = crate::R<In61Spec>;
+        #[doc = "Register `IN61` writer"]
+        pub type W = crate::W<In61Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In61Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 61 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in61::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in61::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In61Spec;
+        impl crate::RegisterSpec for In61Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in61::R`](R) reader structure"]
+        impl crate::Readable for In61Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in61::W`](W) writer structure"]
+        impl crate::Writable for In61Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN61 to value 0"]
+        impl crate::Resettable for In61Spec {}
+    }
+    #[doc = "IN62 (rw) register accessor: Time input 62 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in62::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in62::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in62`] module"]
+    #[doc(alias = "IN62")]
+    pub type In62 = crate::Reg<in62::In62Spec>;
+    #[doc = "Time input 62 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in62 {
+        #[doc = "Register `IN62` reader"]
+        pub type R = crate::R<In62Spec>;
+        #[doc = "Register `IN62` writer"]
+        pub type W = crate::W<In62Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In62Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 62 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in62::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in62::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In62Spec;
+        impl crate::RegisterSpec for In62Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in62::R`](R) reader structure"]
+        impl crate::Readable for In62Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in62::W`](W) writer structure"]
+        impl crate::Writable for In62Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN62 to value 0"]
+        impl crate::Resettable for In62Spec {}
+    }
+    #[doc = "IN63 (rw) register accessor: Time input 63 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in63::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in63::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in63`] module"]
+    #[doc(alias = "IN63")]
+    pub type In63 = crate::Reg<in63::In63Spec>;
+    #[doc = "Time input 63 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in63 {
+        #[doc = "Register `IN63` reader"]
+        pub type R = crate::R<In63Spec>;
+        #[doc = "Register `IN63` writer"]
+        pub type W = crate::W<In63Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In63Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 63 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in63::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in63::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In63Spec;
+        impl crate::RegisterSpec for In63Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in63::R`](R) reader structure"]
+        impl crate::Readable for In63Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in63::W`](W) writer structure"]
+        impl crate::Writable for In63Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN63 to value 0"]
+        impl crate::Resettable for In63Spec {}
+    }
 }
 #[doc = "Staged commands, contiguous: writing them changes nothing until the commit strobe."]
 pub type Command = crate::Periph<command::RegisterBlock, 0xf000_7000>;
@@ -5214,6 +6718,7 @@ pub mod command {
         pwm13_width: Pwm13Width,
         pwm14_width: Pwm14Width,
         pwm15_width: Pwm15Width,
+        gpio_out_high: GpioOutHigh,
     }
     impl RegisterBlock {
         #[doc = "0x00 - Which step generators follow their command and which encoders wait for an index; staged until the commit strobe."]
@@ -5221,7 +6726,7 @@ pub mod command {
         pub const fn enables(&self) -> &Enables {
             &self.enables
         }
-        #[doc = "0x04 - Level of each output, one bit per output, before inversion; staged until the commit strobe."]
+        #[doc = "0x04 - Level of each of the first 32 outputs, one bit per output, before inversion; staged until the commit strobe."]
         #[inline(always)]
         pub const fn gpio_out(&self) -> &GpioOut {
             &self.gpio_out
@@ -5476,6 +6981,11 @@ pub mod command {
         pub const fn pwm15_width(&self) -> &Pwm15Width {
             &self.pwm15_width
         }
+        #[doc = "0xd0 - Level of outputs 32 to 63, one bit per output, before inversion; staged until the commit strobe."]
+        #[inline(always)]
+        pub const fn gpio_out_high(&self) -> &GpioOutHigh {
+            &self.gpio_out_high
+        }
     }
     #[doc = "ENABLES (rw) register accessor: Which step generators follow their command and which encoders wait for an index; staged until the commit strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`enables::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`enables::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@enables`] module"]
     #[doc(alias = "ENABLES")]
@@ -5532,10 +7042,10 @@ pub mod command {
         #[doc = "`reset()` method sets ENABLES to value 0"]
         impl crate::Resettable for EnablesSpec {}
     }
-    #[doc = "GPIO_OUT (rw) register accessor: Level of each output, one bit per output, before inversion; staged until the commit strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`gpio_out::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`gpio_out::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@gpio_out`] module"]
+    #[doc = "GPIO_OUT (rw) register accessor: Level of each of the first 32 outputs, one bit per output, before inversion; staged until the commit strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`gpio_out::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`gpio_out::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@gpio_out`] module"]
     #[doc(alias = "GPIO_OUT")]
     pub type GpioOut = crate::Reg<gpio_out::GpioOutSpec>;
-    #[doc = "Level of each output, one bit per output, before inversion; staged until the commit strobe."]
+    #[doc = "Level of each of the first 32 outputs, one bit per output, before inversion; staged until the commit strobe."]
     pub mod gpio_out {
         #[doc = "Register `GPIO_OUT` reader"]
         pub type R = crate::R<GpioOutSpec>;
@@ -5547,7 +7057,7 @@ pub mod command {
             }
         }
         impl W {}
-        #[doc = "Level of each output, one bit per output, before inversion; staged until the commit strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`gpio_out::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`gpio_out::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Level of each of the first 32 outputs, one bit per output, before inversion; staged until the commit strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`gpio_out::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`gpio_out::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct GpioOutSpec;
         impl crate::RegisterSpec for GpioOutSpec {
             type Ux = u32;
@@ -7689,6 +9199,35 @@ pub mod command {
         #[doc = "`reset()` method sets PWM15_WIDTH to value 0"]
         impl crate::Resettable for Pwm15WidthSpec {}
     }
+    #[doc = "GPIO_OUT_HIGH (rw) register accessor: Level of outputs 32 to 63, one bit per output, before inversion; staged until the commit strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`gpio_out_high::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`gpio_out_high::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@gpio_out_high`] module"]
+    #[doc(alias = "GPIO_OUT_HIGH")]
+    pub type GpioOutHigh = crate::Reg<gpio_out_high::GpioOutHighSpec>;
+    #[doc = "Level of outputs 32 to 63, one bit per output, before inversion; staged until the commit strobe."]
+    pub mod gpio_out_high {
+        #[doc = "Register `GPIO_OUT_HIGH` reader"]
+        pub type R = crate::R<GpioOutHighSpec>;
+        #[doc = "Register `GPIO_OUT_HIGH` writer"]
+        pub type W = crate::W<GpioOutHighSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        impl W {}
+        #[doc = "Level of outputs 32 to 63, one bit per output, before inversion; staged until the commit strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`gpio_out_high::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`gpio_out_high::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct GpioOutHighSpec;
+        impl crate::RegisterSpec for GpioOutHighSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`gpio_out_high::R`](R) reader structure"]
+        impl crate::Readable for GpioOutHighSpec {}
+        #[doc = "`write(|w| ..)` method takes [`gpio_out_high::W`](W) writer structure"]
+        impl crate::Writable for GpioOutHighSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets GPIO_OUT_HIGH to value 0"]
+        impl crate::Resettable for GpioOutHighSpec {}
+    }
 }
 #[doc = "The last sample, contiguous: all words but the latches are of one clock, complete 18 clocks after the strobe, and reading changes nothing."]
 pub type Status = crate::Periph<status::RegisterBlock, 0xf000_7800>;
@@ -7790,6 +9329,7 @@ pub mod status {
         encoder14_edge: Encoder14Edge,
         encoder15_count: Encoder15Count,
         encoder15_edge: Encoder15Edge,
+        gpio_in_high: GpioInHigh,
         reserved0: Reserved0,
         reserved1: Reserved1,
         reserved2: Reserved2,
@@ -7797,7 +9337,6 @@ pub mod status {
         reserved4: Reserved4,
         reserved5: Reserved5,
         reserved6: Reserved6,
-        reserved7: Reserved7,
         encoder0_latch: Encoder0Latch,
         encoder1_latch: Encoder1Latch,
         encoder2_latch: Encoder2Latch,
@@ -7842,7 +9381,7 @@ pub mod status {
         pub const fn sample_hi(&self) -> &SampleHi {
             &self.sample_hi
         }
-        #[doc = "0x08 - Level of each input after its debounce at the last sample strobe, one bit per input."]
+        #[doc = "0x08 - Level of each of the first 32 inputs after its debounce at the last sample strobe, one bit per input."]
         #[inline(always)]
         pub const fn gpio_in(&self) -> &GpioIn {
             &self.gpio_in
@@ -8272,45 +9811,45 @@ pub mod status {
         pub const fn encoder15_edge(&self) -> &Encoder15Edge {
             &self.encoder15_edge
         }
-        #[doc = "0x160 - Reads 0; no unit."]
+        #[doc = "0x160 - Level of inputs 32 to 63 after their debounce at the last sample strobe, one bit per input."]
+        #[inline(always)]
+        pub const fn gpio_in_high(&self) -> &GpioInHigh {
+            &self.gpio_in_high
+        }
+        #[doc = "0x164 - Reads 0; no unit."]
         #[inline(always)]
         pub const fn reserved0(&self) -> &Reserved0 {
             &self.reserved0
         }
-        #[doc = "0x164 - Reads 0; no unit."]
+        #[doc = "0x168 - Reads 0; no unit."]
         #[inline(always)]
         pub const fn reserved1(&self) -> &Reserved1 {
             &self.reserved1
         }
-        #[doc = "0x168 - Reads 0; no unit."]
+        #[doc = "0x16c - Reads 0; no unit."]
         #[inline(always)]
         pub const fn reserved2(&self) -> &Reserved2 {
             &self.reserved2
         }
-        #[doc = "0x16c - Reads 0; no unit."]
+        #[doc = "0x170 - Reads 0; no unit."]
         #[inline(always)]
         pub const fn reserved3(&self) -> &Reserved3 {
             &self.reserved3
         }
-        #[doc = "0x170 - Reads 0; no unit."]
+        #[doc = "0x174 - Reads 0; no unit."]
         #[inline(always)]
         pub const fn reserved4(&self) -> &Reserved4 {
             &self.reserved4
         }
-        #[doc = "0x174 - Reads 0; no unit."]
+        #[doc = "0x178 - Reads 0; no unit."]
         #[inline(always)]
         pub const fn reserved5(&self) -> &Reserved5 {
             &self.reserved5
         }
-        #[doc = "0x178 - Reads 0; no unit."]
+        #[doc = "0x17c - Reads 0; no unit."]
         #[inline(always)]
         pub const fn reserved6(&self) -> &Reserved6 {
             &self.reserved6
-        }
-        #[doc = "0x17c - Reads 0; no unit."]
-        #[inline(always)]
-        pub const fn reserved7(&self) -> &Reserved7 {
-            &self.reserved7
         }
         #[doc = "0x180 - Count of encoder 0 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
@@ -8517,10 +10056,10 @@ pub mod status {
         #[doc = "`reset()` method sets SAMPLE_HI to value 0"]
         impl crate::Resettable for SampleHiSpec {}
     }
-    #[doc = "GPIO_IN (r) register accessor: Level of each input after its debounce at the last sample strobe, one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`gpio_in::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@gpio_in`] module"]
+    #[doc = "GPIO_IN (r) register accessor: Level of each of the first 32 inputs after its debounce at the last sample strobe, one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`gpio_in::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@gpio_in`] module"]
     #[doc(alias = "GPIO_IN")]
     pub type GpioIn = crate::Reg<gpio_in::GpioInSpec>;
-    #[doc = "Level of each input after its debounce at the last sample strobe, one bit per input."]
+    #[doc = "Level of each of the first 32 inputs after its debounce at the last sample strobe, one bit per input."]
     pub mod gpio_in {
         #[doc = "Register `GPIO_IN` reader"]
         pub type R = crate::R<GpioInSpec>;
@@ -8529,7 +10068,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Level of each input after its debounce at the last sample strobe, one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`gpio_in::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Level of each of the first 32 inputs after its debounce at the last sample strobe, one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`gpio_in::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct GpioInSpec;
         impl crate::RegisterSpec for GpioInSpec {
             type Ux = u32;
@@ -10618,6 +12157,28 @@ pub mod status {
         #[doc = "`reset()` method sets ENCODER15_EDGE to value 0"]
         impl crate::Resettable for Encoder15EdgeSpec {}
     }
+    #[doc = "GPIO_IN_HIGH (r) register accessor: Level of inputs 32 to 63 after their debounce at the last sample strobe, one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`gpio_in_high::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@gpio_in_high`] module"]
+    #[doc(alias = "GPIO_IN_HIGH")]
+    pub type GpioInHigh = crate::Reg<gpio_in_high::GpioInHighSpec>;
+    #[doc = "Level of inputs 32 to 63 after their debounce at the last sample strobe, one bit per input."]
+    pub mod gpio_in_high {
+        #[doc = "Register `GPIO_IN_HIGH` reader"]
+        pub type R = crate::R<GpioInHighSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Level of inputs 32 to 63 after their debounce at the last sample strobe, one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`gpio_in_high::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct GpioInHighSpec;
+        impl crate::RegisterSpec for GpioInHighSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`gpio_in_high::R`](R) reader structure"]
+        impl crate::Readable for GpioInHighSpec {}
+        #[doc = "`reset()` method sets GPIO_IN_HIGH to value 0"]
+        impl crate::Resettable for GpioInHighSpec {}
+    }
     #[doc = "RESERVED0 (r) register accessor: Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved0::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@reserved0`] module"]
     #[doc(alias = "RESERVED0")]
     pub type Reserved0 = crate::Reg<reserved0::Reserved0Spec>;
@@ -10771,28 +12332,6 @@ pub mod status {
         impl crate::Readable for Reserved6Spec {}
         #[doc = "`reset()` method sets RESERVED6 to value 0"]
         impl crate::Resettable for Reserved6Spec {}
-    }
-    #[doc = "RESERVED7 (r) register accessor: Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved7::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@reserved7`] module"]
-    #[doc(alias = "RESERVED7")]
-    pub type Reserved7 = crate::Reg<reserved7::Reserved7Spec>;
-    #[doc = "Reads 0; no unit."]
-    pub mod reserved7 {
-        #[doc = "Register `RESERVED7` reader"]
-        pub type R = crate::R<Reserved7Spec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        #[doc = "Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved7::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Reserved7Spec;
-        impl crate::RegisterSpec for Reserved7Spec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`reserved7::R`](R) reader structure"]
-        impl crate::Readable for Reserved7Spec {}
-        #[doc = "`reset()` method sets RESERVED7 to value 0"]
-        impl crate::Resettable for Reserved7Spec {}
     }
     #[doc = "ENCODER0_LATCH (r) register accessor: Count of encoder 0 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder0_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder0_latch`] module"]
     #[doc(alias = "ENCODER0_LATCH")]
@@ -14833,6 +16372,7 @@ pub mod pads {
         step_n: StepN,
         pwm: Pwm,
         outputs: Outputs,
+        outputs_high: OutputsHigh,
     }
     impl RegisterBlock {
         #[doc = "0x00 - Pads of the step generators, one bit per pin."]
@@ -14850,10 +16390,15 @@ pub mod pads {
         pub const fn pwm(&self) -> &Pwm {
             &self.pwm
         }
-        #[doc = "0x0c - Pads of the outputs, one bit per output; `gpio.out_now` is what drives them."]
+        #[doc = "0x0c - Pads of the first 32 outputs, one bit per output; `gpio.out_now` is what drives them."]
         #[inline(always)]
         pub const fn outputs(&self) -> &Outputs {
             &self.outputs
+        }
+        #[doc = "0x10 - Pads of outputs 32 to 63, one bit per output; `gpio_high.out_now` is what drives them."]
+        #[inline(always)]
+        pub const fn outputs_high(&self) -> &OutputsHigh {
+            &self.outputs_high
         }
     }
     #[doc = "STEP (r) register accessor: Pads of the step generators, one bit per pin.\n\nYou can [`read`](crate::Reg::read) this register and get [`step::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@step`] module"]
@@ -14955,10 +16500,10 @@ pub mod pads {
         #[doc = "`reset()` method sets PWM to value 0"]
         impl crate::Resettable for PwmSpec {}
     }
-    #[doc = "OUTPUTS (r) register accessor: Pads of the outputs, one bit per output; `gpio.out_now` is what drives them.\n\nYou can [`read`](crate::Reg::read) this register and get [`outputs::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@outputs`] module"]
+    #[doc = "OUTPUTS (r) register accessor: Pads of the first 32 outputs, one bit per output; `gpio.out_now` is what drives them.\n\nYou can [`read`](crate::Reg::read) this register and get [`outputs::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@outputs`] module"]
     #[doc(alias = "OUTPUTS")]
     pub type Outputs = crate::Reg<outputs::OutputsSpec>;
-    #[doc = "Pads of the outputs, one bit per output; `gpio.out_now` is what drives them."]
+    #[doc = "Pads of the first 32 outputs, one bit per output; `gpio.out_now` is what drives them."]
     pub mod outputs {
         #[doc = "Register `OUTPUTS` reader"]
         pub type R = crate::R<OutputsSpec>;
@@ -14967,7 +16512,7 @@ pub mod pads {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Pads of the outputs, one bit per output; `gpio.out_now` is what drives them.\n\nYou can [`read`](crate::Reg::read) this register and get [`outputs::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Pads of the first 32 outputs, one bit per output; `gpio.out_now` is what drives them.\n\nYou can [`read`](crate::Reg::read) this register and get [`outputs::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct OutputsSpec;
         impl crate::RegisterSpec for OutputsSpec {
             type Ux = u32;
@@ -14976,6 +16521,28 @@ pub mod pads {
         impl crate::Readable for OutputsSpec {}
         #[doc = "`reset()` method sets OUTPUTS to value 0"]
         impl crate::Resettable for OutputsSpec {}
+    }
+    #[doc = "OUTPUTS_HIGH (r) register accessor: Pads of outputs 32 to 63, one bit per output; `gpio_high.out_now` is what drives them.\n\nYou can [`read`](crate::Reg::read) this register and get [`outputs_high::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@outputs_high`] module"]
+    #[doc(alias = "OUTPUTS_HIGH")]
+    pub type OutputsHigh = crate::Reg<outputs_high::OutputsHighSpec>;
+    #[doc = "Pads of outputs 32 to 63, one bit per output; `gpio_high.out_now` is what drives them."]
+    pub mod outputs_high {
+        #[doc = "Register `OUTPUTS_HIGH` reader"]
+        pub type R = crate::R<OutputsHighSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Pads of outputs 32 to 63, one bit per output; `gpio_high.out_now` is what drives them.\n\nYou can [`read`](crate::Reg::read) this register and get [`outputs_high::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct OutputsHighSpec;
+        impl crate::RegisterSpec for OutputsHighSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`outputs_high::R`](R) reader structure"]
+        impl crate::Readable for OutputsHighSpec {}
+        #[doc = "`reset()` method sets OUTPUTS_HIGH to value 0"]
+        impl crate::Resettable for OutputsHighSpec {}
     }
 }
 #[doc = "Executes the owner's next command without the CPU, and answers it. Firmware says what its frame must look like (here and in `rx_admission.header0` to `header15`), and hands out a pass for it. Change nothing here while a pass is out or an answer is being sent."]
@@ -16244,6 +17811,176 @@ pub mod fast_path {
         impl crate::Resettable for StatusSpec {}
     }
 }
+#[doc = "Digital inputs and outputs 32 to 63, one bit per pin: bit 0 is pin 32. Outputs are set in `command.gpio_out_high`. Boards with fewer pins read 0."]
+pub type GpioHigh = crate::Periph<gpio_high::RegisterBlock, 0xf002_2800>;
+impl core::fmt::Debug for GpioHigh {
+    fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+        f.debug_struct("GpioHigh").finish()
+    }
+}
+#[doc = "Digital inputs and outputs 32 to 63, one bit per pin: bit 0 is pin 32. Outputs are set in `command.gpio_out_high`. Boards with fewer pins read 0."]
+pub mod gpio_high {
+    #[repr(C)]
+    #[doc = "Register block"]
+    pub struct RegisterBlock {
+        in_now: InNow,
+        safe: Safe,
+        invert_out: InvertOut,
+        out_now: OutNow,
+        raw_now: RawNow,
+    }
+    impl RegisterBlock {
+        #[doc = "0x00 - Level of each input after its debounce, one bit per input."]
+        #[inline(always)]
+        pub const fn in_now(&self) -> &InNow {
+            &self.in_now
+        }
+        #[doc = "0x04 - Level each output takes while the gate is closed, one bit per output, before inversion."]
+        #[inline(always)]
+        pub const fn safe(&self) -> &Safe {
+            &self.safe
+        }
+        #[doc = "0x08 - 1 inverts the output at the pin, one bit per output; applies to the safe level too."]
+        #[inline(always)]
+        pub const fn invert_out(&self) -> &InvertOut {
+            &self.invert_out
+        }
+        #[doc = "0x0c - Level each output pin carries now, one bit per output."]
+        #[inline(always)]
+        pub const fn out_now(&self) -> &OutNow {
+            &self.out_now
+        }
+        #[doc = "0x10 - Level of each input pin two clocks ago (synchronised, not debounced), one bit per input."]
+        #[inline(always)]
+        pub const fn raw_now(&self) -> &RawNow {
+            &self.raw_now
+        }
+    }
+    #[doc = "IN_NOW (r) register accessor: Level of each input after its debounce, one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`in_now::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in_now`] module"]
+    #[doc(alias = "IN_NOW")]
+    pub type InNow = crate::Reg<in_now::InNowSpec>;
+    #[doc = "Level of each input after its debounce, one bit per input."]
+    pub mod in_now {
+        #[doc = "Register `IN_NOW` reader"]
+        pub type R = crate::R<InNowSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Level of each input after its debounce, one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`in_now::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct InNowSpec;
+        impl crate::RegisterSpec for InNowSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in_now::R`](R) reader structure"]
+        impl crate::Readable for InNowSpec {}
+        #[doc = "`reset()` method sets IN_NOW to value 0"]
+        impl crate::Resettable for InNowSpec {}
+    }
+    #[doc = "SAFE (rw) register accessor: Level each output takes while the gate is closed, one bit per output, before inversion.\n\nYou can [`read`](crate::Reg::read) this register and get [`safe::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`safe::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@safe`] module"]
+    #[doc(alias = "SAFE")]
+    pub type Safe = crate::Reg<safe::SafeSpec>;
+    #[doc = "Level each output takes while the gate is closed, one bit per output, before inversion."]
+    pub mod safe {
+        #[doc = "Register `SAFE` reader"]
+        pub type R = crate::R<SafeSpec>;
+        #[doc = "Register `SAFE` writer"]
+        pub type W = crate::W<SafeSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        impl W {}
+        #[doc = "Level each output takes while the gate is closed, one bit per output, before inversion.\n\nYou can [`read`](crate::Reg::read) this register and get [`safe::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`safe::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct SafeSpec;
+        impl crate::RegisterSpec for SafeSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`safe::R`](R) reader structure"]
+        impl crate::Readable for SafeSpec {}
+        #[doc = "`write(|w| ..)` method takes [`safe::W`](W) writer structure"]
+        impl crate::Writable for SafeSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets SAFE to value 0"]
+        impl crate::Resettable for SafeSpec {}
+    }
+    #[doc = "INVERT_OUT (rw) register accessor: 1 inverts the output at the pin, one bit per output; applies to the safe level too.\n\nYou can [`read`](crate::Reg::read) this register and get [`invert_out::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`invert_out::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@invert_out`] module"]
+    #[doc(alias = "INVERT_OUT")]
+    pub type InvertOut = crate::Reg<invert_out::InvertOutSpec>;
+    #[doc = "1 inverts the output at the pin, one bit per output; applies to the safe level too."]
+    pub mod invert_out {
+        #[doc = "Register `INVERT_OUT` reader"]
+        pub type R = crate::R<InvertOutSpec>;
+        #[doc = "Register `INVERT_OUT` writer"]
+        pub type W = crate::W<InvertOutSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        impl W {}
+        #[doc = "1 inverts the output at the pin, one bit per output; applies to the safe level too.\n\nYou can [`read`](crate::Reg::read) this register and get [`invert_out::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`invert_out::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct InvertOutSpec;
+        impl crate::RegisterSpec for InvertOutSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`invert_out::R`](R) reader structure"]
+        impl crate::Readable for InvertOutSpec {}
+        #[doc = "`write(|w| ..)` method takes [`invert_out::W`](W) writer structure"]
+        impl crate::Writable for InvertOutSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets INVERT_OUT to value 0"]
+        impl crate::Resettable for InvertOutSpec {}
+    }
+    #[doc = "OUT_NOW (r) register accessor: Level each output pin carries now, one bit per output.\n\nYou can [`read`](crate::Reg::read) this register and get [`out_now::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@out_now`] module"]
+    #[doc(alias = "OUT_NOW")]
+    pub type OutNow = crate::Reg<out_now::OutNowSpec>;
+    #[doc = "Level each output pin carries now, one bit per output."]
+    pub mod out_now {
+        #[doc = "Register `OUT_NOW` reader"]
+        pub type R = crate::R<OutNowSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Level each output pin carries now, one bit per output.\n\nYou can [`read`](crate::Reg::read) this register and get [`out_now::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct OutNowSpec;
+        impl crate::RegisterSpec for OutNowSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`out_now::R`](R) reader structure"]
+        impl crate::Readable for OutNowSpec {}
+        #[doc = "`reset()` method sets OUT_NOW to value 0"]
+        impl crate::Resettable for OutNowSpec {}
+    }
+    #[doc = "RAW_NOW (r) register accessor: Level of each input pin two clocks ago (synchronised, not debounced), one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`raw_now::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@raw_now`] module"]
+    #[doc(alias = "RAW_NOW")]
+    pub type RawNow = crate::Reg<raw_now::RawNowSpec>;
+    #[doc = "Level of each input pin two clocks ago (synchronised, not debounced), one bit per input."]
+    pub mod raw_now {
+        #[doc = "Register `RAW_NOW` reader"]
+        pub type R = crate::R<RawNowSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Level of each input pin two clocks ago (synchronised, not debounced), one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`raw_now::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct RawNowSpec;
+        impl crate::RegisterSpec for RawNowSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`raw_now::R`](R) reader structure"]
+        impl crate::Readable for RawNowSpec {}
+        #[doc = "`reset()` method sets RAW_NOW to value 0"]
+        impl crate::Resettable for RawNowSpec {}
+    }
+}
 #[unsafe(no_mangle)]
 static mut DEVICE_PERIPHERALS: bool = false;
 #[doc = r" All the peripherals."]
@@ -16379,6 +18116,8 @@ pub struct Peripherals {
     pub pads: Pads,
     #[doc = "FAST_PATH"]
     pub fast_path: FastPath,
+    #[doc = "GPIO_HIGH"]
+    pub gpio_high: GpioHigh,
 }
 impl Peripherals {
     #[doc = r" Returns all the peripherals *once*."]
@@ -16466,6 +18205,7 @@ impl Peripherals {
             segments: unsafe { Segments::steal() },
             pads: unsafe { Pads::steal() },
             fast_path: unsafe { FastPath::steal() },
+            gpio_high: unsafe { GpioHigh::steal() },
         }
     }
 }

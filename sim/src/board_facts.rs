@@ -33,7 +33,7 @@ pub struct BoardFacts {
 }
 
 /// The board files that the twin carries.
-const BUILT_IN: [(&str, &str); 4] = [
+const BUILT_IN: [(&str, &str); 5] = [
     (
         "75b_v8_14o11i6s6e6p",
         include_str!("../../boards/75b_v8_14o11i6s6e6p.toml"),
@@ -41,6 +41,7 @@ const BUILT_IN: [(&str, &str); 4] = [
     ("max", include_str!("../../boards/max.toml")),
     ("mill6", include_str!("../../boards/mill6.toml")),
     ("plotter", include_str!("../../boards/plotter.toml")),
+    ("wide", include_str!("../../tests/boards/wide.toml")),
 ];
 
 impl BoardFacts {

@@ -40,7 +40,7 @@ pub struct PinWatch {
     /// The LED.
     pub led: bool,
     /// General outputs.
-    pub gpio: u32,
+    pub gpio: u64,
     /// PWM outputs.
     pub pwm: u16,
 }
@@ -82,7 +82,7 @@ pub struct PinEnvironment {
     pub watch: PinWatch,
     events: Vec<PinEvent>,
     pwm: [PwmCycle; 16],
-    gpio_in: u32,
+    gpio_in: u64,
 }
 
 impl PinEnvironment {
@@ -130,7 +130,7 @@ impl PinEnvironment {
     }
 
     /// Drive the general inputs that the plant does not.
-    pub fn gpio_in(&mut self, levels: u32) {
+    pub fn gpio_in(&mut self, levels: u64) {
         self.gpio_in = levels;
         self.settle();
     }
@@ -217,7 +217,7 @@ impl PinEnvironment {
             log(Output::Gpio(n), pins.gpio_out >> n & 1 != 0);
         }
         let pwm = pins.pwm_out ^ seen.pwm_out;
-        for n in bits(u32::from(pwm)) {
+        for n in bits(u64::from(pwm)) {
             let high = pins.pwm_out >> n & 1 != 0;
             if watch.pwm >> n & 1 != 0 {
                 log(Output::Pwm(n), high);
@@ -241,10 +241,10 @@ impl PinEnvironment {
     }
 }
 
-fn bits(mut word: u32) -> impl Iterator<Item = u8> {
+fn bits(mut word: u64) -> impl Iterator<Item = u8> {
     std::iter::from_fn(move || {
         let n = word.trailing_zeros();
-        (n < 32).then(|| {
+        (n < 64).then(|| {
             word &= word - 1;
             n as u8
         })

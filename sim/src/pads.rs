@@ -35,10 +35,13 @@ impl Pad {
             Pad::DirN(n) => 48 + (n & 15),
             Pad::Pwm(n) => 64 + (n & 15),
             Pad::PwmDir(n) => 80 + (n & 15),
-            Pad::Output(n) => 96 + (n & 31),
+            Pad::Output(n) => OUTPUTS + (n & 63),
         }
     }
 }
+
+/// Number of the first output's pad.
+const OUTPUTS: u8 = 96;
 
 /// What is wrong with the pads.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -78,7 +81,7 @@ pub fn levels(driven: &Pins) -> Pins {
 
 #[cold]
 fn fight(pins: &mut Pins) {
-    let (at, to) = (pins.pad_at & 127, pins.pad_to & 127);
+    let (at, to) = (pins.pad_at, pins.pad_to);
     match pins.pad_fault & 3 {
         0 => {}
         3 => {
@@ -102,10 +105,15 @@ fn word(pins: &mut Pins, pad: u8) -> Option<&mut u16> {
     })
 }
 
+/// Which output is at this pad, which is none of the others.
+fn output(pad: u8) -> u8 {
+    pad.saturating_sub(OUTPUTS).min(63)
+}
+
 fn get(pins: &mut Pins, pad: u8) -> bool {
     match word(pins, pad) {
         Some(word) => *word >> (pad & 15) & 1 != 0,
-        None => pins.gpio_out >> (pad & 31) & 1 != 0,
+        None => pins.gpio_out >> output(pad) & 1 != 0,
     }
 }
 
@@ -113,19 +121,21 @@ fn set(pins: &mut Pins, pad: u8, level: bool) {
     match word(pins, pad) {
         Some(word) => *word = *word & !(1 << (pad & 15)) | u16::from(level) << (pad & 15),
         None => {
-            pins.gpio_out = pins.gpio_out & !(1 << (pad & 31)) | u32::from(level) << (pad & 31);
+            let n = output(pad);
+            pins.gpio_out = pins.gpio_out & !(1 << n) | u64::from(level) << n;
         }
     }
 }
 
 /// The registers of the page `pads`, of pins like these.
-pub fn registers(pins: &Pins) -> [u32; 4] {
+pub fn registers(pins: &Pins) -> [u32; 5] {
     let both = |low: u16, high: u16| u32::from(low) | u32::from(high) << 16;
     [
         both(pins.step, pins.dir),
         both(pins.step_n, pins.dir_n),
         both(pins.pwm_out, pins.pwm_dir),
-        pins.gpio_out,
+        pins.gpio_out as u32,
+        (pins.gpio_out >> 32) as u32,
     ]
 }
 
@@ -145,18 +155,25 @@ mod tests {
             fault.put(&mut pins);
             registers(&levels(&pins))
         };
-        assert_eq!(seen(Fault::None), [0b10, 0, 0, 0b100]);
-        assert_eq!(seen(Fault::Low(Pad::Step(1))), [0, 0, 0, 0b100]);
-        assert_eq!(seen(Fault::High(Pad::DirN(15))), [0b10, 1 << 31, 0, 0b100]);
+        assert_eq!(seen(Fault::None), [0b10, 0, 0, 0b100, 0]);
+        assert_eq!(seen(Fault::Low(Pad::Step(1))), [0, 0, 0, 0b100, 0]);
+        assert_eq!(
+            seen(Fault::High(Pad::DirN(15))),
+            [0b10, 1 << 31, 0, 0b100, 0]
+        );
         assert_eq!(
             seen(Fault::High(Pad::Output(31))),
-            [0b10, 0, 0, 0b100 | 1 << 31]
+            [0b10, 0, 0, 0b100 | 1 << 31, 0]
+        );
+        assert_eq!(
+            seen(Fault::High(Pad::Output(63))),
+            [0b10, 0, 0, 0b100, 1 << 31]
         );
         let joined = Fault::Short(Pad::Step(1), Pad::Output(2));
-        assert_eq!(seen(joined), [0b10, 0, 0, 0b100]);
+        assert_eq!(seen(joined), [0b10, 0, 0, 0b100, 0]);
         assert_eq!(
             seen(Fault::Short(Pad::Pwm(0), Pad::Output(2))),
-            [0b10, 0, 0, 0]
+            [0b10, 0, 0, 0, 0]
         );
     }
 }

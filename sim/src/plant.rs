@@ -210,7 +210,7 @@ impl Rotor {
     }
 
     /// Move to `clock`; true when the count changed.
-    fn turn(&mut self, clock: u64, hz: u64, outputs: u32) -> bool {
+    fn turn(&mut self, clock: u64, hz: u64, outputs: u64) -> bool {
         let before = self.shown;
         self.fraction += self.speed * (clock - self.since) as f64;
         self.since = clock;
@@ -232,7 +232,7 @@ impl Rotor {
         before != self.shown
     }
 
-    fn accelerate(&mut self, clock: u64, hz: u64, outputs: u32) {
+    fn accelerate(&mut self, clock: u64, hz: u64, outputs: u64) {
         self.account(clock);
         let clocks = (clock - self.last_tick) as f64;
         let [first, second] = self.high.map(|high| high as f64 / clocks);
@@ -285,7 +285,7 @@ pub struct Levels {
     /// Index pins of the stepgens.
     pub step_index: u16,
     /// General inputs the plant drives; see [`Plant::gpio_mask`].
-    pub gpio: u32,
+    pub gpio: u64,
 }
 
 /// The machine.
@@ -299,7 +299,7 @@ pub struct Plant {
     jumpers: Vec<Plugged>,
     steps: [i64; CHANNELS],
     levels: Levels,
-    gpio_mask: u32,
+    gpio_mask: u64,
     /// Levels of the board's output pins.
     pins: Outputs,
     /// Sys clock of the next edge or tick; 0 is "look", `u64::MAX` is rest.
@@ -478,7 +478,7 @@ impl Plant {
     }
 
     /// General inputs that wires or switches drive.
-    pub fn gpio_mask(&self) -> u32 {
+    pub fn gpio_mask(&self) -> u64 {
         self.gpio_mask
     }
 
@@ -534,7 +534,7 @@ impl Plant {
     }
 
     /// The general outputs changed.
-    pub fn outputs(&mut self, gpio_out: u32) {
+    pub fn outputs(&mut self, gpio_out: u64) {
         self.pins.gpio = gpio_out;
         self.look();
         self.settle();
@@ -633,7 +633,7 @@ impl Plant {
         let mut gpio = 0;
         for wire in &self.wires {
             gpio |=
-                u32::from((self.pins.gpio >> wire.output & 1 != 0) != wire.inverted) << wire.input;
+                u64::from((self.pins.gpio >> wire.output & 1 != 0) != wire.inverted) << wire.input;
         }
         for switch in &self.switches {
             let at = self.steps[switch.stepgen];
@@ -642,7 +642,7 @@ impl Plant {
             } else {
                 at <= switch.at
             };
-            gpio |= u32::from(pressed != switch.inverted) << switch.input;
+            gpio |= u64::from(pressed != switch.inverted) << switch.input;
         }
         self.levels.gpio = gpio;
     }

@@ -719,7 +719,7 @@ impl<S: Silicon> Rig<S> {
     }
 
     /// Drive the general inputs.
-    pub fn gpio_in(&mut self, levels: u32) {
+    pub fn gpio_in(&mut self, levels: u64) {
         self.board.gpio_in(levels);
     }
 

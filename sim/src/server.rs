@@ -531,7 +531,7 @@ impl<D: Device> Server<D> {
             },
             "gpio-in" => match rest.and_then(|t| number(t)) {
                 Some(mask) => {
-                    self.rig.environment_mut().gpio_in(mask as u32);
+                    self.rig.environment_mut().gpio_in(mask);
                     format!("ok gpio_in={mask:#010x}")
                 }
                 None => "error: gpio-in takes a mask".into(),

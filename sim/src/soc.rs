@@ -13,7 +13,7 @@ use serde::Deserialize;
 use crate::error::Error;
 
 /// Version of [`Pins`] and of the functions below; equal to `ABI_VERSION` in `verilator/shim.cpp`.
-const SHIM_ABI: u32 = 9;
+const SHIM_ABI: u32 = 10;
 
 /// Bit of the sys clock in [`Silicon::rise`].
 pub const SYS: u32 = 1;
@@ -28,7 +28,7 @@ pub const ETH: u32 = 2;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pins {
     /// In: levels at the general inputs, bit n = input n.
-    pub gpio_in: u32,
+    pub gpio_in: u64,
     /// In: encoder phase A, bit n = encoder n.
     pub enc_a: u16,
     /// In: encoder phase B.
@@ -59,8 +59,10 @@ pub struct Pins {
     pub pad_at: u8,
     /// In: and which other.
     pub pad_to: u8,
+    #[doc(hidden)]
+    pub reserved_in: [u8; 4],
     /// Out: levels at the general outputs.
-    pub gpio_out: u32,
+    pub gpio_out: u64,
     /// Out: STEP pins, bit n = stepgen n.
     pub step: u16,
     /// Out: DIR pins.
@@ -88,10 +90,10 @@ pub struct Pins {
     /// Out: data to the flash.
     pub spi_mosi: u8,
     #[doc(hidden)]
-    pub reserved_out: u8,
+    pub reserved_out: [u8; 5],
 }
 
-const _: () = assert!(size_of::<Pins>() == 48);
+const _: () = assert!(size_of::<Pins>() == 64);
 
 /// [`Pins::link_status`]: bit 0 up, bits 2:1 the speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full
 /// duplex. A link at 1000.
@@ -117,6 +119,7 @@ impl Default for Pins {
             pad_fault: 0,
             pad_at: 0,
             pad_to: 0,
+            reserved_in: [0; 4],
             gpio_out: 0,
             step: 0,
             dir: 0,
@@ -131,7 +134,7 @@ impl Default for Pins {
             spi_cs_n: 0,
             spi_clk: 0,
             spi_mosi: 0,
-            reserved_out: 0,
+            reserved_out: [0; 5],
         }
     }
 }
@@ -157,6 +160,7 @@ impl Pins {
             pad_fault: inputs.pad_fault,
             pad_at: inputs.pad_at,
             pad_to: inputs.pad_to,
+            reserved_in: inputs.reserved_in,
             ..*other
         };
     }
@@ -442,7 +446,7 @@ impl Drop for Soc {
 }
 
 /// Version of [`CoresPins`]; equal to `ABI_VERSION` in `verilator/cores.cpp`.
-const CORES_ABI: u32 = 4;
+const CORES_ABI: u32 = 5;
 
 /// Pins and register bus of the bare cores, as `struct CoresPins` in `verilator/cores.cpp`.
 #[repr(C)]
@@ -457,7 +461,7 @@ pub struct CoresPins {
     /// In: the ABI number the map will have.
     pub abi: u32,
     /// In: general inputs.
-    pub gpio_in: u32,
+    pub gpio_in: u64,
     /// In: a word of a frame.
     pub word: u32,
     /// In: encoder phase A.
@@ -501,7 +505,7 @@ pub struct CoresPins {
     /// Out: what was read.
     pub dat_r: u32,
     /// Out: general outputs.
-    pub gpio_out: u32,
+    pub gpio_out: u64,
     /// Out, in front of the edge: a word of the answer.
     pub put: u32,
     /// Out: STEP.
@@ -531,7 +535,7 @@ pub struct CoresPins {
     pub reserved_out: [u8; 2],
 }
 
-const _: () = assert!(size_of::<CoresPins>() == 80);
+const _: () = assert!(size_of::<CoresPins>() == 88);
 
 type CoresRiseFn = unsafe extern "C" fn(*mut c_void, *mut CoresPins);
 

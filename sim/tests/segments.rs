@@ -370,7 +370,7 @@ struct Seen {
     status: u32,
     begun: u32,
     steps: u16,
-    outputs: u32,
+    outputs: u64,
 }
 
 impl Seen {

@@ -6,11 +6,11 @@
 //
 `default_nettype none
 module copper (
-    input  wire  [127:0] driven,
+    input  wire  [159:0] driven,
     input  wire    [1:0] fault,  // 0 none, 1 `at` is held low, 2 high, 3 `at` and `to` are joined
-    input  wire    [6:0] at,
-    input  wire    [6:0] to,
-    output logic [127:0] level
+    input  wire    [7:0] at,
+    input  wire    [7:0] to,
+    output logic [159:0] level
 );
     always_comb begin
         level = driven;

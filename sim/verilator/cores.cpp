@@ -10,19 +10,23 @@
 #include "verilated.h"
 
 namespace {
-constexpr uint32_t ABI_VERSION = 4;
+constexpr uint32_t ABI_VERSION = 5;
 
 struct CoresPins {
     // in
-    uint32_t adr, coming, dat_w, abi, gpio_in, word;
+    uint32_t adr, coming, dat_w, abi;
+    uint64_t gpio_in;
+    uint32_t word;
     uint16_t enc_a, enc_b, enc_i, step_index, enc_mask;
     uint8_t we, rst, ext_reset, frame_done, frame_slot, frame_pending, pending_slot, pad_fault, pad_at, pad_to, eth_beat, word_is, answer_free, answer_sending;
     // out
-    uint32_t dat_r, gpio_out, put;
+    uint32_t dat_r;
+    uint64_t gpio_out;
+    uint32_t put;
     uint16_t step, dir, step_n, dir_n, pwm_out, pwm_dir, length;
     uint8_t led, gate, frame, put_at, reserved_out[2];
 };
-static_assert(sizeof(CoresPins) == 80, "mirrored in sim/src/soc.rs");
+static_assert(sizeof(CoresPins) == 88, "mirrored in sim/src/soc.rs");
 
 struct Cores {
     VerilatedContext context;
@@ -40,14 +44,14 @@ struct Cores {
     // is wrong with them.
     void pads(const CoresPins &p) {
         Vcores &m = *model;
-        uint32_t seen[7] = {m.step, m.dir, m.step_n, m.dir_n, m.pwm, m.pwm_dir, m.outputs};
+        uint64_t seen[7] = {m.step, m.dir, m.step_n, m.dir_n, m.pwm, m.pwm_dir, m.outputs};
         auto group = [](unsigned pad) { return pad < 96 ? pad >> 4 : 6; };
-        auto bit = [](unsigned pad) { return pad < 96 ? pad & 15 : pad & 31; };
+        auto bit = [](unsigned pad) { return pad < 96 ? pad & 15 : pad - 96; };
         auto level = [&](unsigned pad) { return seen[group(pad)] >> bit(pad) & 1; };
-        auto hold = [&](unsigned pad, uint32_t to) { seen[group(pad)] = (seen[group(pad)] & ~(1u << bit(pad))) | to << bit(pad); };
-        const unsigned at = p.pad_at & 127, to = p.pad_to & 127;
+        auto hold = [&](unsigned pad, uint64_t to) { seen[group(pad)] = (seen[group(pad)] & ~(uint64_t(1) << bit(pad))) | to << bit(pad); };
+        const unsigned at = p.pad_at, to = p.pad_to;
         if ((p.pad_fault & 3) == 3) {
-            const uint32_t both = level(at) & level(to);
+            const uint64_t both = level(at) & level(to);
             hold(at, both), hold(to, both);
         } else if (p.pad_fault & 3) hold(at, p.pad_fault >> 1 & 1);
         m.step_seen = seen[0], m.dir_seen = seen[1], m.step_n_seen = seen[2], m.dir_n_seen = seen[3];

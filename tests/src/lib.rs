@@ -587,7 +587,7 @@ impl BenchMachine {
     }
 
     /// Levels at the general outputs.
-    pub fn outputs(&self) -> u32 {
+    pub fn outputs(&self) -> u64 {
         self.rig.pins().gpio_out
     }
 
@@ -618,13 +618,13 @@ impl BenchMachine {
     }
 
     /// Levels at the general inputs.
-    pub fn inputs(&mut self, levels: u32) {
+    pub fn inputs(&mut self, levels: u64) {
         self.rig.gpio_in(levels);
     }
 
     /// Puts these levels at the inputs; how many clocks until the gate is closed and every output
     /// at its safe level.
-    pub fn inputs_until_safe(&mut self, levels: u32) -> u64 {
+    pub fn inputs_until_safe(&mut self, levels: u64) -> u64 {
         let raised = self.clock();
         self.rig.gpio_in(levels);
         while (self.gate_open() || self.outputs() != 0) && self.clock() < raised + 1000 {

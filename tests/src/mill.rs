@@ -288,7 +288,7 @@ impl Mill {
     }
 
     /// Levels of the general outputs.
-    pub fn outputs(&self) -> u32 {
+    pub fn outputs(&self) -> u64 {
         self.twin.environment().pins().gpio_out
     }
 

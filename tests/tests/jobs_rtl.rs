@@ -456,7 +456,7 @@ fn an_e_stop_ends_the_pulses_in_its_clock_and_the_switch_has_to_be_found_again()
     assert!(find(&mut wired));
     let began = began(&mut wired);
     under_way(&mut wired, "G1 X8 Y4 F9000\nG1 X0 Y0\nM2\n", &machine, None);
-    let clocks = wired.machine.inputs_until_safe(ESTOP);
+    let clocks = wired.machine.inputs_until_safe(ESTOP.into());
     let pressed = wired.machine.clock();
     println!("safe {clocks} clocks after the e-stop");
     assert!(clocks < 100, "safe only {clocks} clocks after the e-stop");
@@ -639,7 +639,7 @@ impl Strikes {
             Strikes::Silence => wired.run(110 * MS),
             Strikes::Stop => command(wired, JobCommand::Stop),
             Strikes::EStop => {
-                assert!(wired.machine.inputs_until_safe(ESTOP) < 100);
+                assert!(wired.machine.inputs_until_safe(ESTOP.into()) < 100);
                 wired.machine.inputs(0);
             }
             Strikes::Reset => {

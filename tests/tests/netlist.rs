@@ -296,11 +296,11 @@ fn story(bench: &mut Bench, random: &mut Pcg32) {
     let mut status = bench.exchange(&mut command);
     for step in 0..8 {
         command.enable_request = step >= 2;
-        command.gpio_out = random.next_u32();
+        command.gpio_out = random.next_u32().into();
         for pwm in &mut command.pwm {
             *pwm = PWM_ENABLE | random.random_range(0..1 << 16);
         }
-        bench.rig.gpio_in(random.next_u32());
+        bench.rig.gpio_in(random.next_u32().into());
         status = bench.exchange(&mut command);
         bench.rig.run(random.random_range(0..4_000));
     }

@@ -13,7 +13,7 @@
 //!
 //! Unknown kinds are skipped, so an older driver can read a newer board's description.
 //!
-//! 2 KiB have no room for one entry per channel of a large machine, so channels come as lists: an
+//! 4 KiB have no room for one entry per channel of a large machine, so channels come as lists: an
 //! entry of kind [`LIST`] holds a class letter (`s e p i o`) and then a line per channel, the first
 //! of them `channel`. A line is a name, then a space and the text of [`Kind::Pins`].
 //! [`Blob::entries`] splits lists, so readers see one form:

@@ -8,6 +8,10 @@ pub const MAX_CHANNELS: usize = STEPGEN_MAX;
 
 const _: () = assert!(ENCODER_MAX == MAX_CHANNELS && PWM_MAX == MAX_CHANNELS);
 
+/// Inputs or outputs of a word. Only those of the first can be e-stop inputs, the probe, or outputs
+/// of a job.
+pub const WORD_PINS: u8 = 32;
+
 /// How many channels of each kind a board has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Channels {
@@ -17,9 +21,9 @@ pub struct Channels {
     pub encoders: u8,
     /// PWM outputs, at most 16.
     pub pwms: u8,
-    /// Inputs, at most 32.
+    /// Inputs, at most 64.
     pub inputs: u8,
-    /// Outputs, at most 32.
+    /// Outputs, at most 64.
     pub outputs: u8,
 }
 
@@ -43,6 +47,16 @@ impl Channels {
             return Err(Refusal::Value);
         }
         Ok(channels)
+    }
+
+    /// Words for the inputs behind the first 32: one, or none.
+    pub const fn inputs_high(self) -> usize {
+        (self.inputs > WORD_PINS) as usize
+    }
+
+    /// Words for the outputs behind the first 32: one, or none.
+    pub const fn outputs_high(self) -> usize {
+        (self.outputs > WORD_PINS) as usize
     }
 
     /// As the two `channels` words.

@@ -13,9 +13,9 @@
 //!  3, 4   apply time lo, hi   clocks              4, 5   sample time     lo, hi   clocks
 //!  5      stepgen enable 15:0                     6      watchdog left at arrival, clocks
 //!         encoder index arm 31:16                 7      datagrams refused since boot
-//!  6      gpio outputs                            8      boot id
+//!  6      gpio outputs 31:0                       8      boot id
 //!  7      stepgen index arm 15:0                  9      e-stop inputs latched
-//!         encoder probe arm 31:16                10      gpio inputs
+//!         encoder probe arm 31:16                10      gpio inputs 31:0
 //!  8      stepgen probe arm 15:0                 11      encoder index latched 15:0
 //!         latch select 20:16                             stepgen rate limited 31:16
 //!  9..    per stepgen: velocity, acceleration    12      stepgen index latched 15:0
@@ -24,8 +24,12 @@
 //!                                                        encoder illegal 31:16
 //!                                                14      the selected channel's latch
 //!                                                15..    per stepgen: position lo, hi, velocity
-//!                                                then    per encoder: count, edge
+//!  then   gpio outputs 63:32                      then    per encoder: count, edge
+//!                                                then    gpio inputs 63:32
 //! ```
+//!
+//! Only a board with more than 32 outputs has the last word of a command, and one with more than 32
+//! inputs that of a status.
 //!
 //! # Latches
 //!
@@ -55,9 +59,9 @@ pub const STATUS_STEPGEN: usize = status::STEPGEN_STRIDE;
 pub const STATUS_ENCODER: usize = status::ENCODER_STRIDE;
 
 /// Longest command block: the maximum board's.
-pub const COMMAND_MAX: usize = COMMAND_HEAD + MAX_CHANNELS * (COMMAND_STEPGEN + 1);
+pub const COMMAND_MAX: usize = COMMAND_HEAD + MAX_CHANNELS * (COMMAND_STEPGEN + 1) + 1;
 /// Longest status block: the maximum board's.
-pub const STATUS_MAX: usize = STATUS_HEAD + MAX_CHANNELS * (STATUS_STEPGEN + STATUS_ENCODER);
+pub const STATUS_MAX: usize = STATUS_HEAD + MAX_CHANNELS * (STATUS_STEPGEN + STATUS_ENCODER) + 1;
 
 // Both must be one Etherbone record: its counts are 8 bits wide.
 const _: () = assert!(COMMAND_MAX <= 255 && STATUS_MAX <= 255);
@@ -79,7 +83,7 @@ pub mod command_word {
     pub const APPLY_HI: usize = 4;
     /// Stepgen enables 15:0, encoder index arms 31:16.
     pub const ENABLES: usize = 5;
-    /// Outputs.
+    /// Outputs 0 to 31.
     pub const GPIO_OUT: usize = 6;
     /// Stepgen index arms 15:0, encoder probe arms 31:16.
     pub const ARMS: usize = 7;
@@ -113,7 +117,7 @@ pub mod status_word {
     pub const BOOT_ID: usize = 8;
     /// Latched e-stop inputs.
     pub const ESTOP: usize = 9;
-    /// Inputs.
+    /// Inputs 0 to 31.
     pub const GPIO_IN: usize = 10;
     /// Encoder index latched 15:0, stepgen rate limited 31:16.
     pub const FLAGS0: usize = 11;
@@ -212,8 +216,8 @@ pub struct Command {
     pub stepgen_probe_arm: u16,
     /// The latch that the answer has to carry.
     pub latch: Latch,
-    /// GPIO outputs.
-    pub gpio_out: u32,
+    /// GPIO outputs, one bit per output.
+    pub gpio_out: u64,
     /// Velocity target and acceleration limit per stepgen.
     pub stepgen: [(Velocity, Accel); MAX_CHANNELS],
     /// PWM words per channel ([`PWM_WIDTH_MASK`], [`PWM_ENABLE`], [`PWM_DIRECTION`]).
@@ -259,10 +263,11 @@ pub struct Status {
     pub refused: Count,
     /// Changes with every start of the firmware.
     pub boot_id: u32,
-    /// E-stop inputs that have tripped, one bit per input; latched until cleared.
+    /// E-stop inputs that have tripped, one bit per input; latched until cleared. They are among
+    /// the first 32.
     pub estop: u32,
-    /// GPIO inputs.
-    pub gpio_in: u32,
+    /// GPIO inputs, one bit per input.
+    pub gpio_in: u64,
     /// One bit per encoder: the index came, its latch is valid.
     pub index_latched: u16,
     /// One bit per encoder: the probe tripped, its latch is valid.
@@ -404,7 +409,10 @@ impl StateWord {
 
 /// Words in this board's command block.
 pub const fn command_words(channels: Channels) -> usize {
-    COMMAND_HEAD + channels.stepgens as usize * COMMAND_STEPGEN + channels.pwms as usize
+    COMMAND_HEAD
+        + channels.stepgens as usize * COMMAND_STEPGEN
+        + channels.pwms as usize
+        + channels.outputs_high()
 }
 
 /// Words in this board's status block.
@@ -412,6 +420,7 @@ pub const fn status_words(channels: Channels) -> usize {
     STATUS_HEAD
         + channels.stepgens as usize * STATUS_STEPGEN
         + channels.encoders as usize * STATUS_ENCODER
+        + channels.inputs_high()
 }
 
 impl Command {
@@ -437,7 +446,7 @@ impl Command {
         head[command_word::APPLY_LO] = apply as u32;
         head[command_word::APPLY_HI] = (apply >> 32) as u32;
         head[command_word::ENABLES] = pair(self.stepgen_enable, self.index_arm);
-        head[command_word::GPIO_OUT] = self.gpio_out;
+        head[command_word::GPIO_OUT] = self.gpio_out as u32;
         head[command_word::ARMS] = pair(self.stepgen_index_arm, self.probe_arm);
         head[command_word::PROBE_ARMS] =
             u32::from(self.stepgen_probe_arm) | self.latch.code() << command_word::LATCH_SHIFT;
@@ -447,8 +456,12 @@ impl Command {
         for (words, (velocity, accel)) in steps.iter_mut().zip(&self.stepgen) {
             *words = [velocity.0 as u32, accel.0];
         }
+        let (pwms, high) = pwms.split_at_mut(channels.pwms.into());
         for (word, pwm) in pwms.iter_mut().zip(&self.pwm) {
             *word = *pwm;
+        }
+        for word in high {
+            *word = (self.gpio_out >> 32) as u32;
         }
         Some(whole)
     }
@@ -476,7 +489,7 @@ impl Command {
             stepgen_enable: enables as u16,
             stepgen_alone: (flags >> FLAG_ALONE_SHIFT) as u16,
             index_arm: (enables >> 16) as u16,
-            gpio_out: head[command_word::GPIO_OUT],
+            gpio_out: head[command_word::GPIO_OUT].into(),
             stepgen_index_arm: arms as u16,
             probe_arm: (arms >> 16) as u16,
             stepgen_probe_arm: probe_arms as u16,
@@ -490,8 +503,14 @@ impl Command {
         for (target, &[velocity, accel]) in command.stepgen.iter_mut().zip(steps) {
             *target = (Velocity(velocity as i32), Accel(accel));
         }
+        let (pwms, high) = pwms
+            .split_at_checked(channels.pwms.into())
+            .ok_or(Refusal::BlockLength)?;
         for (target, &word) in command.pwm.iter_mut().zip(pwms) {
             *target = word;
+        }
+        if let [high] = high {
+            command.gpio_out |= u64::from(*high) << 32;
         }
         Ok(command)
     }
@@ -513,7 +532,7 @@ impl Status {
         head[status_word::REFUSED] = self.refused.0;
         head[status_word::BOOT_ID] = self.boot_id;
         head[status_word::ESTOP] = self.estop;
-        head[status_word::GPIO_IN] = self.gpio_in;
+        head[status_word::GPIO_IN] = self.gpio_in as u32;
         head[status_word::FLAGS0] = pair(self.index_latched, self.rate_limited);
         head[status_word::FLAGS1] = pair(self.stepgen_index_latched, self.probe_latched);
         head[status_word::FLAGS2] = pair(self.stepgen_probe_latched, self.illegal);
@@ -527,9 +546,14 @@ impl Status {
                 velocity.0 as u32,
             ];
         }
+        let (encoders, high) =
+            encoders.split_at_mut(usize::from(channels.encoders) * STATUS_ENCODER);
         let (encoders, _) = encoders.as_chunks_mut::<STATUS_ENCODER>();
         for (words, encoder) in encoders.iter_mut().zip(&self.encoder) {
             *words = encoder.to_words();
+        }
+        for word in high {
+            *word = (self.gpio_in >> 32) as u32;
         }
         Some(block)
     }
@@ -554,7 +578,7 @@ impl Status {
             refused: Count(head[status_word::REFUSED]),
             boot_id: head[status_word::BOOT_ID],
             estop: head[status_word::ESTOP],
-            gpio_in: head[status_word::GPIO_IN],
+            gpio_in: head[status_word::GPIO_IN].into(),
             index_latched: head[status_word::FLAGS0] as u16,
             rate_limited: (head[status_word::FLAGS0] >> 16) as u16,
             stepgen_index_latched: head[status_word::FLAGS1] as u16,
@@ -571,6 +595,12 @@ impl Status {
         let (steps, _) = steps.as_chunks::<STATUS_STEPGEN>();
         for (target, &[lo, hi, velocity]) in status.stepgen.iter_mut().zip(steps) {
             *target = (Position::from_words(lo, hi), Velocity(velocity as i32));
+        }
+        let (encoders, high) = encoders
+            .split_at_checked(usize::from(channels.encoders) * STATUS_ENCODER)
+            .ok_or(Refusal::BlockLength)?;
+        if let [high] = high {
+            status.gpio_in |= u64::from(*high) << 32;
         }
         let (encoders, _) = encoders.as_chunks::<STATUS_ENCODER>();
         for (target, words) in status.encoder.iter_mut().zip(encoders) {

@@ -22,8 +22,8 @@ const BOARD: Channels = Channels {
     stepgens: 2,
     encoders: 2,
     pwms: 2,
-    inputs: 32,
-    outputs: 32,
+    inputs: 64,
+    outputs: 64,
 };
 
 /// Words of the longest request.
@@ -128,7 +128,7 @@ fn command(out: &mut impl Write, emit: Emit<'_, Command>) -> Result {
         stepgen_index_arm 16 |it, bits| it.stepgen_index_arm = bits as u16;
         stepgen_probe_arm 16 |it, bits| it.stepgen_probe_arm = bits as u16;
         latch 5 |it, bits| it.latch = Latch::from_code(bits as u32);
-        gpio_out 32 |it, bits| it.gpio_out = bits as u32;
+        gpio_out 64 |it, bits| it.gpio_out = bits;
         stepgen 32 |it, bits| it.stepgen[0].0 = Velocity(bits as u32 as i32);
         pwm 32 |it, bits| it.pwm[0] = bits as u32;
     }
@@ -206,7 +206,7 @@ fn status(out: &mut impl Write, emit: Emit<'_, Status>) -> Result {
         refused 32 |it, bits| it.refused = Count(bits as u32);
         boot_id 32 |it, bits| it.boot_id = bits as u32;
         estop 32 |it, bits| it.estop = bits as u32;
-        gpio_in 32 |it, bits| it.gpio_in = bits as u32;
+        gpio_in 64 |it, bits| it.gpio_in = bits;
         index_latched 16 |it, bits| it.index_latched = bits as u16;
         probe_latched 16 |it, bits| it.probe_latched = bits as u16;
         illegal 16 |it, bits| it.illegal = bits as u16;
@@ -348,7 +348,7 @@ fn constants(out: &mut impl Write) -> Result {
     codes! { out; StepType: StepDir UpDown Quadrature }
     codes! { out; CountMode: X4 X2 X1 Counter StepDir UpDown }
     codes! { out; PwmType: Pwm UpDown Pdm }
-    codes! { out; BoardConfig: WatchdogTimeout WatchdogGrace GpioSafe GpioInvert Probe }
+    codes! { out; BoardConfig: WatchdogTimeout WatchdogGrace GpioSafe GpioInvert Probe GpioSafeHigh GpioInvertHigh }
     values! { out; exchange: MAX_CHANNELS COMMAND_HEAD COMMAND_STEPGEN STATUS_HEAD STATUS_STEPGEN STATUS_ENCODER COMMAND_MAX
     STATUS_MAX REQUEST_OVERHEAD FLAG_ENABLE FLAG_ENABLE_REQUEST FLAG_APPLY_TIME FLAG_ALONE_SHIFT PWM_WIDTH_MASK PWM_FRACTION
     PWM_PERIOD_MAX PWM_ENABLE PWM_DIRECTION EDGE_TIME_BITS }

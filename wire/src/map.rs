@@ -220,16 +220,20 @@ pub enum BoardConfig {
     WatchdogTimeout = 0,
     /// Clocks a soft stop may take after a bite before the gate closes regardless.
     WatchdogGrace = 1,
-    /// Output levels while the gate is closed, one bit per output.
+    /// Levels of outputs 0 to 31 while the gate is closed, one bit per output.
     GpioSafe = 2,
-    /// Output polarity, one bit per output; 1 inverts.
+    /// Polarity of outputs 0 to 31, one bit per output; 1 inverts.
     GpioInvert = 3,
     /// Which input is the probe: [`PROBE_INPUT_MASK`], [`PROBE_ENABLE`], [`PROBE_INVERT`].
     Probe = 4,
+    /// As [`BoardConfig::GpioSafe`], of outputs 32 to 63.
+    GpioSafeHigh = 5,
+    /// As [`BoardConfig::GpioInvert`], of outputs 32 to 63.
+    GpioInvertHigh = 6,
 }
 
 /// Words in the board's configuration block.
-pub const BOARD_CONFIG_WORDS: u32 = 5;
+pub const BOARD_CONFIG_WORDS: u32 = 7;
 
 /// Debounce: one word per input, in units of [`DEBOUNCE_CLOCKS`], 0..=[`DEBOUNCE_MAX`].
 pub const CONFIG_DEBOUNCE: u32 = CONFIG_BOARD + 0x40;
@@ -308,8 +312,9 @@ pub const FLASH_LEN: u32 = 0x300;
 /// Raw CSRs at the address they have on the board's own bus.
 pub const SERVICE: u32 = regmap::CSR_BASE as u32;
 
-/// Levels at the pads the board drives: STEP and DIR, their inverted copies, PWMs, outputs. Each of
-/// the first three words has first pins in its low half and second pins in its high one.
+/// Levels at the pads the board drives: STEP and DIR, their inverted copies, PWMs, outputs and
+/// those from 32 on. Each of the first three words has first pins in its low half and second pins
+/// in its high one.
 pub const PADS: u32 = pads::BASE as u32;
 /// Words there.
 pub const PADS_WORDS: u32 = pads::WORDS as u32;

@@ -11,7 +11,7 @@
 
 /// ABI number: first 32 bits of the SHA-256 of the normalised register map and of the
 /// exchange's layout (`wire/layout.txt`).
-pub const ABI: u32 = 0x6b8313fd;
+pub const ABI: u32 = 0x96fced1f;
 /// The value of [`ident::MAGIC`]: "FCnC".
 pub const IDENT_MAGIC: u32 = 0x46436e43;
 /// First byte of the image.
@@ -29,7 +29,7 @@ pub const ETHMAC_SIZE: usize = 0x3000;
 /// First byte of the board info blob.
 pub const BOARD_ROM_BASE: usize = 0x90000000;
 /// Bytes of the board info blob.
-pub const BOARD_ROM_SIZE: usize = 0x800;
+pub const BOARD_ROM_SIZE: usize = 0x1000;
 /// First byte of what the services may write of the RAM.
 pub const WINDOW_BASE: usize = 0x10000000;
 /// Bytes of what the services may write of the RAM.
@@ -62,9 +62,9 @@ pub const ENCODER_MAX: usize = 16;
 /// PWM generators the map has room for.
 pub const PWM_MAX: usize = 16;
 /// Inputs the map has room for.
-pub const IN_MAX: usize = 32;
+pub const IN_MAX: usize = 64;
 /// Outputs the map has room for.
-pub const OUT_MAX: usize = 32;
+pub const OUT_MAX: usize = 64;
 /// Axes a job can have at most.
 pub const JOB_AXES_MAX: usize = 7;
 /// Segments that fit into the FIFO.
@@ -412,7 +412,8 @@ pub mod watchdog {
     pub const LAST_CLOSE_REASON_SYS_RESET: u32 = 6;
 }
 
-/// Digital inputs and outputs, one bit per pin. Outputs are set in `command.gpio_out`.
+/// The first 32 digital inputs and outputs, one bit per pin. Outputs are set in
+/// `command.gpio_out`.
 pub mod gpio {
     /// Number of the page.
     pub const PAGE: u32 = 11;
@@ -483,7 +484,7 @@ pub mod debounce {
     /// First byte of the page.
     pub const BASE: usize = 0xf0006800;
     /// Registers on the page.
-    pub const WORDS: usize = 32;
+    pub const WORDS: usize = 64;
     /// Time input 0 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks. The
     /// next is 1 word on. (rw)
     pub const IN0: usize = 0;
@@ -498,7 +499,7 @@ pub mod command {
     /// First byte of the page.
     pub const BASE: usize = 0xf0007000;
     /// Registers on the page.
-    pub const WORDS: usize = 52;
+    pub const WORDS: usize = 53;
     /// Which step generators follow their command and which encoders wait for an index; staged
     /// until the commit strobe. (rw)
     pub const ENABLES: usize = 0;
@@ -508,8 +509,8 @@ pub mod command {
     pub const ENABLES_ENCODER_INDEX: u32 = 0xffff0000;
     /// Its lowest bit.
     pub const ENABLES_ENCODER_INDEX_SHIFT: u32 = 16;
-    /// Level of each output, one bit per output, before inversion; staged until the commit strobe.
-    /// (rw)
+    /// Level of each of the first 32 outputs, one bit per output, before inversion; staged until
+    /// the commit strobe. (rw)
     pub const GPIO_OUT: usize = 1;
     /// Which step generators wait for an index and which encoders for the probe; staged until the
     /// commit strobe. (rw)
@@ -546,6 +547,9 @@ pub mod command {
     /// 1: reverse; the level of the direction output, or which of the two outputs carries the
     /// pulses.
     pub const PWM0_WIDTH_DIRECTION: u32 = 1 << 31;
+    /// Level of outputs 32 to 63, one bit per output, before inversion; staged until the commit
+    /// strobe. (rw)
+    pub const GPIO_OUT_HIGH: usize = 52;
 }
 
 /// The last sample, contiguous: all words but the latches are of one clock, complete 18 clocks
@@ -561,7 +565,8 @@ pub mod status {
     pub const SAMPLE_LO: usize = 0;
     /// High word of the wall clock, in units of 2^32 clocks, at the last sample strobe. (ro)
     pub const SAMPLE_HI: usize = 1;
-    /// Level of each input after its debounce at the last sample strobe, one bit per input. (ro)
+    /// Level of each of the first 32 inputs after its debounce at the last sample strobe, one bit
+    /// per input. (ro)
     pub const GPIO_IN: usize = 2;
     /// One bit per channel, at the last sample strobe. (ro)
     pub const FLAGS0: usize = 3;
@@ -617,8 +622,11 @@ pub mod status {
     pub const ENCODER0_EDGE_ERRORS: u32 = 0xff000000;
     /// Its lowest bit.
     pub const ENCODER0_EDGE_ERRORS_SHIFT: u32 = 24;
+    /// Level of inputs 32 to 63 after their debounce at the last sample strobe, one bit per input.
+    /// (ro)
+    pub const GPIO_IN_HIGH: usize = 88;
     /// Reads 0; no unit. The next is 1 word on. (ro)
-    pub const RESERVED0: usize = 88;
+    pub const RESERVED0: usize = 89;
     /// Count of encoder 0 at its latched index or probe, signed. Live, not sampled; holds while a
     /// flag is up. The next is 1 word on. (ro)
     pub const ENCODER0_LATCH: usize = 96;
@@ -938,7 +946,7 @@ pub mod pads {
     /// First byte of the page.
     pub const BASE: usize = 0xf0021800;
     /// Registers on the page.
-    pub const WORDS: usize = 4;
+    pub const WORDS: usize = 5;
     /// Pads of the step generators, one bit per pin. (ro)
     pub const STEP: usize = 0;
     /// Bit n: the pad of STEP n.
@@ -963,8 +971,10 @@ pub mod pads {
     pub const PWM_DIR: u32 = 0xffff0000;
     /// Its lowest bit.
     pub const PWM_DIR_SHIFT: u32 = 16;
-    /// Pads of the outputs, one bit per output; `gpio.out_now` is what drives them. (ro)
+    /// Pads of the first 32 outputs, one bit per output; `gpio.out_now` is what drives them. (ro)
     pub const OUTPUTS: usize = 3;
+    /// Pads of outputs 32 to 63, one bit per output; `gpio_high.out_now` is what drives them. (ro)
+    pub const OUTPUTS_HIGH: usize = 4;
 }
 
 /// Executes the owner's next command without the CPU, and answers it. Firmware says what its
@@ -1027,4 +1037,26 @@ pub mod fast_path {
     pub const STATUS_OUT: u32 = 1 << 1;
     /// 1: the answer is being sent: transmit slot 0 must not be written.
     pub const STATUS_SENDING: u32 = 1 << 2;
+}
+
+/// Digital inputs and outputs 32 to 63, one bit per pin: bit 0 is pin 32. Outputs are set in
+/// `command.gpio_out_high`. Boards with fewer pins read 0.
+pub mod gpio_high {
+    /// Number of the page.
+    pub const PAGE: u32 = 69;
+    /// First byte of the page.
+    pub const BASE: usize = 0xf0022800;
+    /// Registers on the page.
+    pub const WORDS: usize = 5;
+    /// Level of each input after its debounce, one bit per input. (ro)
+    pub const IN_NOW: usize = 0;
+    /// Level each output takes while the gate is closed, one bit per output, before inversion. (rw)
+    pub const SAFE: usize = 1;
+    /// 1 inverts the output at the pin, one bit per output; applies to the safe level too. (rw)
+    pub const INVERT_OUT: usize = 2;
+    /// Level each output pin carries now, one bit per output. (ro)
+    pub const OUT_NOW: usize = 3;
+    /// Level of each input pin two clocks ago (synchronised, not debounced), one bit per input.
+    /// (ro)
+    pub const RAW_NOW: usize = 4;
 }

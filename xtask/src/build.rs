@@ -128,6 +128,9 @@ pub fn board_file(name: &str) -> PathBuf {
     if users.exists() { users } else { tests }
 }
 
+/// `tests/boards/NAME.toml`: more inputs and outputs than a word has bits.
+pub const WIDE_BOARD: &str = "wide";
+
 /// `tests/boards/NAME.toml`: what a job needs.
 pub const CORES_BOARD: &str = "jobs";
 

@@ -178,7 +178,7 @@ fn simulations(levels: &[Level]) -> Result<()> {
         build::simulated_board(build::JOBS_BOARD)?;
     }
     if any(|level| level == Level::Lockstep) {
-        build::simulated_cores(build::BOARD)?;
+        build::simulated_cores(build::WIDE_BOARD)?;
         build::simulated_cores(build::CORES_BOARD)?;
     }
     Ok(())
@@ -450,7 +450,7 @@ fn abi_guard() -> Result<()> {
     )
 }
 
-/// The register map holds for the largest board there can be: 16 stepgens, encoders and PWMs, 32
+/// The register map holds for the largest board there can be: 16 stepgens, encoders and PWMs, 64
 /// inputs and outputs.
 fn maximum_board() -> Result<()> {
     let mut elaborate = python::gateware("elaborate");

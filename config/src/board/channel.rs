@@ -8,6 +8,7 @@ use crate::platform::Level;
 use crate::tree::At;
 use std::collections::BTreeMap;
 use std::fmt::Write;
+use wire::channels::WORD_PINS;
 
 /// One channel.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -129,6 +130,16 @@ impl Channel {
             }
         }
         channel.judge_pins(at, class)?;
+        if n >= usize::from(WORD_PINS)
+            && let Some(level) = channel.estop
+        {
+            return Err(at.error(
+                "estop",
+                &format!("{:?}", level.word()),
+                format!("stands at input {n}, and only the first {WORD_PINS} can stop the machine"),
+                "write this [[gpio_in]] further up in the file",
+            ));
+        }
         Ok(channel)
     }
 

@@ -130,7 +130,7 @@ const PWM: &[Key] = &[
     litexcnc_name(hal::PWM),
 ];
 /// Numbers of LiteX-CNC's row of inputs and outputs.
-const ROW: Kind = Kind::Integer { min: 0, max: 63 };
+const ROW: Kind = Kind::Integer { min: 0, max: 127 };
 
 const GPIO_IN: &[Key] = &[
     name(hal::INPUT),

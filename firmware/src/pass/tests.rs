@@ -22,11 +22,10 @@ fn the_runs_of_six_axes_are_those_of_the_frame_and_of_the_answer() {
     let runs = runs(&shape(SIX)).map(parts);
     let at = |word: usize| word as u32;
     assert_eq!(
-        runs[..4],
+        runs[..3],
         [
             (timebase::PAGE, at(timebase::COMMIT_AT_LO), 2, 0),
-            (command::PAGE, at(command::ENABLES), 4, 0),
-            (command::PAGE, at(command::STEPGEN0_VELOCITY), 12, 0),
+            (command::PAGE, at(command::ENABLES), 16, 0),
             (command::PAGE, at(command::PWM0_WIDTH), 6, 4),
         ]
     );
@@ -41,12 +40,19 @@ fn the_runs_of_six_axes_are_those_of_the_frame_and_of_the_answer() {
 fn with_any_number_of_channels_the_runs_have_every_word_of_both_blocks() {
     for stepgens in 0..=16 {
         for pwms in [0, 1, 16] {
-            for encoders in [0, 1, 16] {
+            for (encoders, inputs, outputs) in [
+                (0, 12, 12),
+                (1, 64, 12),
+                (1, 12, 64),
+                (16, 64, 64),
+                (0, 33, 33),
+            ] {
                 let channels = Channels {
                     stepgens,
                     pwms,
                     encoders,
-                    ..SIX
+                    inputs,
+                    outputs,
                 };
                 let shape = shape(channels);
                 let runs = runs(&shape).map(parts);

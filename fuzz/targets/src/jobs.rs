@@ -354,7 +354,7 @@ impl Bench<'_> {
             8 => {
                 let inputs = u32::from(input.byte() & 15);
                 let environment = self.machine.board.environment();
-                environment.gpio_in(inputs);
+                environment.gpio_in(inputs.into());
                 environment.settle();
                 self.pass(4);
                 return false;

@@ -184,7 +184,7 @@ impl Bench {
                 let [pins, inputs, link] = input.array();
                 let environment = self.machine.board.model_board.environment();
                 environment.ext_reset(pins & 1 != 0);
-                environment.gpio_in(u32::from(inputs) << (pins >> 4));
+                environment.gpio_in(u64::from(inputs) << (pins >> 4));
                 environment.link(if pins & 2 != 0 { link & 15 } else { 0b1101 });
                 self.pass(64);
             }

@@ -5,7 +5,8 @@ use crate::blocks::encoder::Encoder;
 use crate::blocks::stepgen::Stepgen;
 use crate::blocks::{Feedback, Period};
 use crate::fault::Fault;
-use crate::settings::{Disarmed, INPUTS, Periods};
+use crate::settings::{Disarmed, Periods};
+use wire::channels::WORD_PINS;
 use wire::exchange::{COMMAND_MAX, Command, Latch, REQUEST_OVERHEAD};
 use wire::map::{PROBE_ENABLE, PROBE_INPUT_MASK, PROBE_INVERT};
 use wire::units::Clocks;
@@ -98,7 +99,7 @@ impl Driver {
             *words = stepgen.configure(clock_hz);
         }
         let input = self.pins.probe_input.get();
-        if (0..INPUTS as i32).contains(&input) {
+        if (0..i32::from(WORD_PINS)).contains(&input) {
             wanted.probe = input as u32 & PROBE_INPUT_MASK | PROBE_ENABLE;
             if self.pins.probe_invert.get() {
                 wanted.probe |= PROBE_INVERT;
@@ -114,8 +115,8 @@ impl Driver {
             *word = pwm.configure();
         }
         for (n, output) in self.blocks.outputs.iter().enumerate() {
-            wanted.gpio_safe |= u32::from(output.safe()) << n;
-            wanted.gpio_invert |= u32::from(output.inverted()) << n;
+            wanted.gpio_safe |= u64::from(output.safe()) << n;
+            wanted.gpio_invert |= u64::from(output.inverted()) << n;
         }
         wanted
     }
@@ -231,7 +232,7 @@ impl Driver {
             *word = pwm.command(has, period.clock_hz);
         }
         for (n, output) in self.blocks.outputs.iter().enumerate() {
-            command.gpio_out |= u32::from(output.command()) << n;
+            command.gpio_out |= u64::from(output.command()) << n;
         }
         command
     }

@@ -19,13 +19,13 @@ use crate::glue::Glue;
 use crate::hal::checked::{Checked, Rule, Watch};
 use crate::hal::{Backend, Catalogue, ExportError, Exporter, In, Messenger, Out, Param};
 use crate::link::{Flood, Link};
-use crate::settings::INPUTS;
 use wire::board::Kind;
+use wire::channels::WORD_PINS;
 use wire::describe::Describe;
 use wire::exchange::MAX_CHANNELS;
 
-/// None, or one of those a board can have.
-const PROBE_INPUTS: Rule = Rule::Whole(-1, INPUTS as i32 - 1);
+/// None, or one of those that can be it.
+const PROBE_INPUTS: Rule = Rule::Whole(-1, WORD_PINS as i32 - 1);
 
 /// The board-wide pins.
 #[derive(Debug)]

@@ -365,7 +365,7 @@ fn row(identity: &Identity) -> Result<Vec<Place>, RowError> {
         let Some(text) = identity.pin(letter(input), usize::from(ours), "gpio") else {
             continue;
         };
-        let number = text.parse().ok().filter(|number| *number < 64);
+        let number = text.parse().ok().filter(|number| *number < 128);
         let number = number.ok_or_else(|| RowError::NoNumber(text.to_owned()))?;
         if row.iter().any(|other| other.number == number) {
             return Err(RowError::Twice(number));

@@ -5,7 +5,7 @@
 //! session is given back.
 
 use super::Time;
-use super::gather::OUT_NOW;
+use super::gather;
 use super::loops::{Counts, Levels, Loop, Output, Sink, Source};
 use crate::client::{Client, ClientError, Identity, Session};
 use std::time::Duration;
@@ -178,14 +178,36 @@ impl Follow {
                     (1, _) => format!("DIR- {n}"),
                     (2, 0) => format!("PWM {n}"),
                     (2, _) => format!("PWM DIR {n}"),
-                    _ => outputs
-                        .get(bit)
-                        .map_or_else(|| format!("output {bit}"), |name| format!("output {name}")),
+                    _ => {
+                        let n = (word - OUTPUTS) * u32::BITS as usize + bit;
+                        let number = || format!("output {n}");
+                        outputs
+                            .get(n)
+                            .map_or_else(number, |name| format!("output {name}"))
+                    }
                 }
             })
             .collect()
     }
 }
+
+/// Word and bit of the pad of output `n`.
+fn output_pad(n: usize) -> (usize, u32) {
+    (
+        OUTPUTS + n / u32::BITS as usize,
+        1 << (n % u32::BITS as usize),
+    )
+}
+
+/// The level at the pad of output `n`.
+fn of_output(pads: &Pads, n: usize) -> bool {
+    let (word, bit) = output_pad(n);
+    pads[word] & bit != 0
+}
+
+/// The word of the board's settings for all outputs, and the one for those behind the first 32.
+const SAFE: [BoardConfig; 2] = [BoardConfig::GpioSafe, BoardConfig::GpioSafeHigh];
+const INVERT: [BoardConfig; 2] = [BoardConfig::GpioInvert, BoardConfig::GpioInvertHigh];
 
 /// Why it was not driven.
 #[derive(Debug)]
@@ -275,13 +297,19 @@ impl<'t> Driven<'t> {
         };
         let board = |which: BoardConfig| map::CONFIG_BOARD + 4 * which as u32;
         // Outputs begin at the levels they have while the gate is closed.
-        driven.command.gpio_out = driven.client.read(&[board(BoardConfig::GpioSafe)])?[0];
+        driven.command.gpio_out = driven.per_output(SAFE)?;
         driven.set(board(BoardConfig::WatchdogTimeout), (TIMEOUT_S * hz) as u32)?;
         driven.set(board(BoardConfig::WatchdogGrace), (GRACE_S * hz) as u32)?;
         for n in 0..u32::from(driven.channels.inputs) {
             driven.set(map::CONFIG_DEBOUNCE + 4 * n, 0)?;
         }
         Ok(driven)
+    }
+
+    /// A setting with a bit for each output.
+    fn per_output(&mut self, which: [BoardConfig; 2]) -> Result<u64, ClientError> {
+        let words = which.map(|which| map::CONFIG_BOARD + 4 * which as u32);
+        gather::bits(&mut self.client, self.channels, words)
     }
 
     /// A setting, remembered as it was.
@@ -379,8 +407,7 @@ impl<'t> Driven<'t> {
     /// Each general output high and low, one after the other: what its register says and its pad,
     /// and which inputs and which other pads follow.
     pub fn outputs(&mut self, names: &[String]) -> Result<Vec<Output>, DriveError> {
-        let invert = map::CONFIG_BOARD + 4 * BoardConfig::GpioInvert as u32;
-        let invert = self.client.read(&[invert])?[0];
+        let invert = self.per_output(INVERT)?;
         self.arm()?;
         let rest = self.command.gpio_out;
         let mut found = Vec::new();
@@ -389,17 +416,17 @@ impl<'t> Driven<'t> {
                 name: name.clone(),
                 ..Output::default()
             };
-            let own = [(OUTPUTS, 1 << n)];
-            let (mut follows, mut others) = (u32::MAX, Follow::new(&own));
+            let own = [output_pad(n)];
+            let (mut follows, mut others) = (u64::MAX, Follow::new(&own));
             let mut before = None;
             for level in LEVELS {
                 let ordered = level != (invert >> n & 1 != 0);
-                self.command.gpio_out = rest & !(1 << n) | u32::from(ordered) << n;
+                self.command.gpio_out = rest & !(1 << n) | u64::from(ordered) << n;
                 let inputs = self.settled()?.gpio_in;
-                let seen = self.client.read(&[OUT_NOW])?[0] >> n & 1 != 0;
+                let seen = gather::driven(&mut self.client, self.channels)? >> n & 1 != 0;
                 output.levels.push((level, seen));
                 if let Some(pads) = self.pads()? {
-                    output.pad.push((level, pads[OUTPUTS] >> n & 1 != 0));
+                    output.pad.push((level, of_output(&pads, n)));
                     others.see(level, pads);
                 }
                 if let Some((then, was)) = before.replace((level, inputs)) {
@@ -430,20 +457,20 @@ impl<'t> Driven<'t> {
         &mut self,
         n: usize,
         level: bool,
-        invert: u32,
+        invert: u64,
         names: &[String],
     ) -> Result<Vec<String>, DriveError> {
         let rest = self.command.gpio_out;
-        let put = |word: u32, n: usize| {
+        let put = |word: u64, n: usize| {
             let ordered = level != (invert >> n & 1 != 0);
-            word & !(1 << n) | u32::from(ordered) << n
+            word & !(1 << n) | u64::from(ordered) << n
         };
         let mut partners = Vec::new();
         for other in (0..names.len()).filter(|other| *other != n) {
             self.command.gpio_out = put(put(rest, n), other);
             self.settled()?;
             if let Some(pads) = self.pads()?
-                && (pads[OUTPUTS] >> n & 1 != 0) == level
+                && of_output(&pads, n) == level
             {
                 partners.push(format!("output {}", names[other]));
             }
@@ -581,12 +608,11 @@ impl<'t> Driven<'t> {
     }
 
     fn output_levels(&mut self, n: usize, levels: &mut Levels) -> Result<(), DriveError> {
-        let invert = map::CONFIG_BOARD + 4 * BoardConfig::GpioInvert as u32;
-        let inverted = self.client.read(&[invert])?[0] >> n & 1 != 0;
+        let inverted = self.per_output(INVERT)? >> n & 1 != 0;
         self.arm()?;
         let rest = self.command.gpio_out;
         for level in LEVELS {
-            self.command.gpio_out = rest & !(1 << n) | u32::from(level != inverted) << n;
+            self.command.gpio_out = rest & !(1 << n) | u64::from(level != inverted) << n;
             levels.inputs.push(self.settled()?.gpio_in);
         }
         self.command.gpio_out = rest;

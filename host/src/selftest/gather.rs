@@ -6,14 +6,22 @@ use crate::client::{Client, ClientError, Identity};
 use crate::flash::{FlashError, Flasher, Overview, PATIENCE};
 use std::collections::HashMap;
 use std::time::Duration;
-use wire::describe::Describe;
+use wire::describe::{Channels, Describe};
 use wire::flash::{Area, LinkWord};
 use wire::images::{META_BYTES, Meta, idcode_of};
-use wire::regmap::{self, gpio, pads, timebase};
+use wire::regmap::{self, gpio, gpio_high, pads, timebase};
 use wire::{GUEST_READS, MAX_WORDS, Refusal, Request, map};
 
 /// Registers in front of the outputs' pads.
-pub(super) const OUT_NOW: u32 = regmap::address(gpio::BASE, gpio::OUT_NOW);
+const OUT_NOW: [u32; 2] = [
+    regmap::address(gpio::BASE, gpio::OUT_NOW),
+    regmap::address(gpio_high::BASE, gpio_high::OUT_NOW),
+];
+/// Those behind the pads.
+const OUT_PADS: [u32; 2] = [
+    regmap::address(pads::BASE, pads::OUTPUTS),
+    regmap::address(pads::BASE, pads::OUTPUTS_HIGH),
+];
 /// The stamp of the frame now looked at, which is the one that asks for it.
 const ARRIVAL: [u32; 2] = [
     regmap::address(timebase::BASE, timebase::ARRIVAL_LO),
@@ -213,9 +221,27 @@ pub fn ways(client: &mut Client) -> Result<ways::Facts, ClientError> {
 }
 
 /// The general outputs with the gate closed: what drives them, and their pads.
-pub fn rest(client: &mut Client) -> Result<[u32; 2], ClientError> {
-    let words = client.read(&[OUT_NOW, regmap::address(pads::BASE, pads::OUTPUTS)])?;
-    Ok([words[0], words[1]])
+pub fn rest(client: &mut Client, channels: Channels) -> Result<[u64; 2], ClientError> {
+    Ok([
+        bits(client, channels, OUT_NOW)?,
+        bits(client, channels, OUT_PADS)?,
+    ])
+}
+
+/// The levels in front of the outputs' pads, a bit each.
+pub(super) fn driven(client: &mut Client, channels: Channels) -> Result<u64, ClientError> {
+    bits(client, channels, OUT_NOW)
+}
+
+/// A bit for each output, of one register or two.
+pub(super) fn bits(
+    client: &mut Client,
+    channels: Channels,
+    registers: [u32; 2],
+) -> Result<u64, ClientError> {
+    let words = client.read(&registers[..1 + channels.outputs_high()])?;
+    let high = words.get(1).copied().unwrap_or(0);
+    Ok(u64::from(high) << u32::BITS | u64::from(words[0]))
 }
 
 /// Looks at the board's clocks for so long.

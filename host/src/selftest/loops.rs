@@ -225,7 +225,7 @@ pub fn judge_output(output: &Output) -> Finding {
 }
 
 /// Judges the general outputs' pads with the gate closed: what drives them, and what they are.
-pub fn judge_rest(driven: u32, seen: u32, names: &[String]) -> Finding {
+pub fn judge_rest(driven: u64, seen: u64, names: &[String]) -> Finding {
     let check = "output pads";
     let wrong: Vec<&str> = names
         .iter()
@@ -258,7 +258,7 @@ pub struct Levels {
     /// What may have been driven, one of these; several where only the pattern is known.
     pub driven: Vec<Vec<bool>>,
     /// All general inputs at these moments.
-    pub inputs: Vec<u32>,
+    pub inputs: Vec<u64>,
     /// The one it should come out at.
     pub wanted: usize,
     /// How many inputs there are.
@@ -521,7 +521,7 @@ mod tests {
         assert!(bad.fact.ends_with("1 lamp"), "{bad:?}");
     }
 
-    fn levels(input: impl Fn(bool) -> u32) -> Finding {
+    fn levels(input: impl Fn(bool) -> u64) -> Finding {
         let driven = vec![true, false, true, true, false];
         judge_levels(&Levels {
             name: "a=b".into(),
@@ -535,11 +535,11 @@ mod tests {
     #[test]
     fn a_level_arrives_stays_away_or_comes_out_elsewhere() {
         let of = |finding: Finding| (finding.verdict, finding.fact);
-        assert_eq!(levels(|level| u32::from(level) << 2).verdict, Good);
-        assert_eq!(levels(|level| u32::from(!level) << 2).verdict, Note);
+        assert_eq!(levels(|level| u64::from(level) << 2).verdict, Good);
+        assert_eq!(levels(|level| u64::from(!level) << 2).verdict, Note);
         assert_eq!(of(levels(|_| 4)), (Bad, "the input stays high".into()));
         assert_eq!(of(levels(|_| 0)), (Bad, "the input stays low".into()));
-        let (verdict, fact) = of(levels(|level| u32::from(level) << 5));
+        let (verdict, fact) = of(levels(|level| u64::from(level) << 5));
         assert_eq!((verdict, fact.contains("input 5")), (Bad, true));
     }
 

@@ -171,7 +171,7 @@ fn look(
     findings.extend(clock::judge(&samples, hz, speed, readback));
     findings.push(match readback {
         true => {
-            let [driven, seen] = gather::rest(&mut client)?;
+            let [driven, seen] = gather::rest(&mut client, identity.describe.channels)?;
             judge_rest(driven, seen, &output_names(identity))
         }
         false => Finding::skipped(

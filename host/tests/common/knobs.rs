@@ -23,7 +23,7 @@ pub struct Knobs {
     /// The external reset pin.
     pub external_reset: bool,
     /// Levels of the inputs.
-    pub gpio_in: u32,
+    pub gpio_in: u64,
     /// Encoder 0 and stepgen 0 have an index pulse at this count.
     pub index_at: Option<i32>,
     /// They have one every so many counts.

@@ -23,7 +23,11 @@ pub struct Rig {
 
 impl Rig {
     pub fn new() -> Self {
-        let board = FakeBoard::mill6(LOCKSTEP);
+        Rig::of(FakeBoard::mill6(LOCKSTEP))
+    }
+
+    /// With a board that has a step generator called x.
+    pub fn of(board: FakeBoard) -> Self {
         let mut hal = FakeHal::new();
         let driver = load(&board, &mut hal);
         // A test that loses an answer waits for this time: short, but long enough for a slow

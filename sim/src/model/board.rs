@@ -31,6 +31,7 @@ pub mod pages {
     pub use wire::regmap::encoder::PAGE as ENCODER;
     pub use wire::regmap::fast_path::PAGE as FAST_PATH;
     pub use wire::regmap::gpio::PAGE as GPIO;
+    pub use wire::regmap::gpio_high::PAGE as GPIO_HIGH;
     pub use wire::regmap::ident::PAGE as IDENT;
     pub use wire::regmap::led::PAGE as LED;
     pub use wire::regmap::pads::PAGE as PADS;
@@ -138,14 +139,14 @@ pub struct Board {
     slot_time: [u64; regmap::ETHMAC_RX_SLOTS],
     arrival: u64,
     sample: u64,
-    gpio_caught: u32,
+    gpio_caught: [u32; 2],
     estop_caught: u32,
     left_caught: u32,
     flags_caught: [u32; 3],
     out: Pins,
     /// The same at the pads, and their registers since which clock: now, before, and before that.
     at_pads: Pins,
-    seen: [(u64, [u32; 4]); 3],
+    seen: [(u64, [u32; 5]); 3],
 }
 
 fn bit(word: u32, n: usize) -> bool {
@@ -223,7 +224,7 @@ impl Board {
             slot_time: [0; regmap::ETHMAC_RX_SLOTS],
             arrival: 0,
             sample: 0,
-            gpio_caught: 0,
+            gpio_caught: [0; 2],
             estop_caught: 0,
             left_caught: 0,
             flags_caught: [0; 3],

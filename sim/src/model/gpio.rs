@@ -1,9 +1,9 @@
 //! `gpio.sv`: inputs with their debouncer, e-stop inputs, and outputs with the gate.
 
 /// Pins the debouncer visits in turn.
-const PINS: usize = wire::regmap::IN_MAX;
+const PINS: usize = wire::channels::WORD_PINS as usize;
 
-/// Inputs and outputs.
+/// A word of inputs and outputs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Gpio {
     estop_mask: u32,

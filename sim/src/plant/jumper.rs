@@ -108,7 +108,7 @@ pub(super) struct Outputs {
     pub(super) step: u16,
     pub(super) dir: u16,
     pub(super) pwm: u16,
-    pub(super) gpio: u32,
+    pub(super) gpio: u64,
 }
 
 impl Plugged {
@@ -154,7 +154,7 @@ impl Plugged {
             Sink::B(n) => put(&mut levels.b, n, self.level),
             Sink::Index(n) => put(&mut levels.index, n, self.level),
             Sink::Input(n) => {
-                levels.gpio = levels.gpio & !(1 << n) | u32::from(self.level) << n;
+                levels.gpio = levels.gpio & !(1 << n) | u64::from(self.level) << n;
             }
         }
     }

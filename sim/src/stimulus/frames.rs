@@ -215,6 +215,7 @@ impl Owner {
             payload.push(random.spread() | 1 << 16);
         }
         payload.extend((0..c.pwms).map(|_| random.below(400 << 8) | PWM_ENABLE));
+        payload.extend((0..c.outputs_high()).map(|_| random.random::<u32>()));
         from_owner(&payload)
     }
 }

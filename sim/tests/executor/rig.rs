@@ -598,7 +598,7 @@ impl Rig {
 
     pub fn estop(&mut self, pressed: bool) {
         let levels = if pressed { ESTOP_INPUT } else { 0 };
-        self.machine.board.environment().gpio_in(levels);
+        self.machine.board.environment().gpio_in(levels.into());
         self.machine.board.environment().settle();
     }
 }

@@ -13,6 +13,7 @@ pub struct EventCounts {
     pub counts: BTreeMap<&'static str, u64>,
     was: Pins,
     status_was: [u32; 8],
+    high_was: u32,
     bites: u32,
 }
 
@@ -36,6 +37,10 @@ impl EventCounts {
         self.add(
             "gpio: edges of outputs",
             (pins.gpio_out ^ was.gpio_out).count_ones(),
+        );
+        self.add(
+            "gpio: edges of outputs behind the first word",
+            ((pins.gpio_out ^ was.gpio_out) >> 32).count_ones(),
         );
         self.add("led: edges", u32::from(pins.led != was.led));
         self.add("watchdog: openings", u32::from(pins.gate > was.gate));
@@ -71,6 +76,12 @@ impl EventCounts {
         let (stepgen_index, encoder_probe) = half(risen(4));
         let (stepgen_probe, illegal) = half(risen(5));
         self.add("gpio: debounced changes", (status[2] ^ was[2]).count_ones());
+        let high = board.status(wire::regmap::status::GPIO_IN_HIGH);
+        self.add(
+            "gpio: debounced changes behind the first word",
+            (high ^ self.high_was).count_ones(),
+        );
+        self.high_was = high;
         self.add("encoder: index latches", encoder_index);
         self.add("encoder: probe latches", encoder_probe);
         self.add("encoder: illegal transitions", illegal);
@@ -118,7 +129,9 @@ pub const LEAST_PER_MILLION: &[(&str, u64)] = &[
     ("pwm: edges", 5_000),
     ("pwm: edges of the second pin", 2_000),
     ("gpio: edges of outputs", 500),
+    ("gpio: edges of outputs behind the first word", 50),
     ("gpio: debounced changes", 100),
+    ("gpio: debounced changes behind the first word", 20),
     ("pads: clocks with a short", 100_000),
     ("timebase: samples", 200),
     ("timebase: timed commits seen waiting", 5),

@@ -7,8 +7,8 @@
 //!
 //! | variable | meaning | default |
 //! |---|---|---|
-//! | `FERROCNC_CORES` | folder of `libferrocnc_cores.so`, as `sim/verilator/cores.sh` leaves it | `target/sim/cores-mill6` |
-//! | `FERROCNC_CORES_BOARD` | the board it was made of | `mill6` |
+//! | `FERROCNC_CORES` | folder of `libferrocnc_cores.so`, as `sim/verilator/cores.sh` leaves it | `target/sim/cores-wide` |
+//! | `FERROCNC_CORES_BOARD` | the board it was made of | `wide` |
 //! | `FERROCNC_CLOCKS` | clocks to compare, in all | 12000000 |
 //! | `FERROCNC_SEED` | seed; printed | from the clock |
 //!
@@ -117,8 +117,8 @@ fn build(facts: &BoardFacts) -> Build {
 }
 
 fn run(seed: u64, clocks: u64) -> Run {
-    let folder: PathBuf = from_environment("FERROCNC_CORES", root().join("target/sim/cores-mill6"));
-    let name: String = from_environment("FERROCNC_CORES_BOARD", "mill6".into());
+    let folder: PathBuf = from_environment("FERROCNC_CORES", root().join("target/sim/cores-wide"));
+    let name: String = from_environment("FERROCNC_CORES_BOARD", "wide".into());
     let facts = BoardFacts::named(&name).unwrap_or_else(|error| panic!("{error}"));
     let mut cores = Cores::load(&folder).unwrap_or_else(|error| panic!("{error}"));
     let mut board = Board::new(build(&facts));

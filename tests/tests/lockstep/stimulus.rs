@@ -180,8 +180,10 @@ impl Stimulus {
         }
         for (word, data) in [(1, self.random.spread()), (2, self.random.spread())] {
             self.write(pages::GPIO, word, data);
+            let high = self.random.spread();
+            self.write(pages::GPIO_HIGH, word, high);
         }
-        let probe = self.random.below(u32::from(c.inputs.max(1))) | self.random.below(4) << 8;
+        let probe = self.random.below(u32::from(c.inputs.clamp(1, 32))) | self.random.below(4) << 8;
         self.write(pages::GPIO, 7, probe);
         let led = self.random.below(8);
         self.write(pages::LED, 0, led);
@@ -250,6 +252,8 @@ impl Stimulus {
         self.write(pages::COMMAND, 0, enables);
         let outputs = self.random.random();
         self.write(pages::COMMAND, 1, outputs);
+        let outputs = self.random.random();
+        self.write(pages::COMMAND, 52, outputs);
         let arms = mostly(self);
         self.write(pages::COMMAND, 2, arms);
         let probe_arms = mostly(self);
@@ -384,7 +388,7 @@ impl Stimulus {
         if self.random.one_in(150) {
             let n = self.random.below(self.channels.inputs.into());
             // E-stop inputs seldom, or the gate never stays open.
-            let stops = self.estop_mask >> n & 1 != 0;
+            let stops = u64::from(self.estop_mask) >> n & 1 != 0;
             if !stops || self.random.one_in(self.noise / 100) || self.pins.gpio_in >> n & 1 != 0 {
                 self.pins.gpio_in ^= 1 << n;
             }

@@ -12,7 +12,7 @@ fn outputs_are_safe_before_the_machine_is_armed() {
     machine.acquire();
     let mut command = machine.enabled_command();
     command.enable_request = false;
-    command.gpio_out = u32::MAX;
+    command.gpio_out = u64::MAX;
     command.stepgen[0].0 = Velocity::from_hz(100e3, machine.clock_hz());
     for _ in 0..5 {
         machine.exchange_and_wait(&mut command);
@@ -159,7 +159,7 @@ fn an_estop_input_needs_no_cpu() {
         machine.exchange_and_wait(&mut command);
     }
     machine.freeze_cpu();
-    let clocks = machine.inputs_until_safe(ESTOP);
+    let clocks = machine.inputs_until_safe(ESTOP.into());
     assert!(
         clocks <= 4,
         "it took {clocks} clocks from the pin to safe outputs"
@@ -172,7 +172,7 @@ fn an_estop_input_needs_no_cpu() {
 #[test]
 fn an_estop_is_latched_until_it_is_released_and_asked_for_again() {
     let (mut machine, mut command) = BenchMachine::turning(1e5, 3);
-    machine.inputs_until_safe(ESTOP);
+    machine.inputs_until_safe(ESTOP.into());
     let status = machine.exchange_and_wait(&mut command);
     assert_eq!(
         (status.state.state, status.state.reason, status.estop),

@@ -11,8 +11,8 @@ const MOST: Channels = Channels {
     stepgens: 16,
     encoders: 16,
     pwms: 16,
-    inputs: 32,
-    outputs: 32,
+    inputs: 64,
+    outputs: 64,
 };
 
 fn command() -> Command {
@@ -49,6 +49,43 @@ fn a_command_survives_the_wire() {
         let record = packet.records().next().unwrap();
         assert_eq!(record.write_base, map::COMMAND);
         assert_eq!(Command::parse(record.writes, channels), Ok(command()));
+    }
+}
+
+#[test]
+fn pins_behind_the_first_word_cost_a_word_only_where_a_board_has_them() {
+    let with = |inputs, outputs| {
+        let channels = Channels {
+            inputs,
+            outputs,
+            ..SIX
+        };
+        (command_words(channels), status_words(channels))
+    };
+    assert_eq!(with(0, 0), (27, 45));
+    assert_eq!(with(32, 32), (27, 45));
+    assert_eq!(with(33, 32), (27, 46));
+    assert_eq!(with(32, 33), (28, 45));
+    assert_eq!(with(64, 64), (28, 46));
+}
+
+#[test]
+fn every_pin_has_its_own_bit_on_the_wire() {
+    for n in 0..64 {
+        let one = Command {
+            gpio_out: 1 << n,
+            ..command()
+        };
+        let mut buffer = [0; REQUEST_OVERHEAD + COMMAND_MAX];
+        let words = one.emit_request(MOST, &mut buffer).unwrap();
+        let back = Command::parse(&words[REQUEST_OVERHEAD..], MOST).unwrap();
+        assert_eq!(back.gpio_out, 1 << n);
+
+        let mut status = Status::parse(&[0; STATUS_MAX][..status_words(MOST)], MOST).unwrap();
+        status.gpio_in = 1 << n;
+        let mut buffer = [0; STATUS_MAX];
+        let words = status.emit(MOST, &mut buffer).unwrap();
+        assert_eq!(Status::parse(words, MOST), Ok(status));
     }
 }
 

@@ -14,6 +14,7 @@
 //! first.
 
 use super::{Reader, Status, Writer};
+use crate::channels::WORD_PINS;
 use crate::map::{DIR_CLOCKS_MAX, STEP_CLOCKS_MAX, WATCHDOG_SECONDS_MAX};
 
 /// Axes of a job: X, Y, Z.
@@ -243,7 +244,9 @@ impl MachineConfig {
         if self.chord_tolerance < 1000 {
             return Err((Field::ChordTolerance, 0));
         }
-        let pins = u32::MAX.checked_shr(32 - u32::from(outputs)).unwrap_or(0);
+        // A job controls outputs of the first word.
+        let none = WORD_PINS.saturating_sub(outputs);
+        let pins = u32::MAX.checked_shr(none.into()).unwrap_or(0);
         if (self.outputs | self.invert | self.safe) & !pins != 0 {
             return Err((Field::Board, 0));
         }

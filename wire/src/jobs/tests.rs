@@ -103,6 +103,7 @@ fn a_machine_is_as_long_as_it_says_and_is_the_one_that_was_put() {
     assert_eq!(payload.len(), MachineConfig::BYTES);
     assert_eq!(MachineConfig::parse(&payload), Ok(machine));
     assert_eq!(machine.check(60_000_000, 4, 1), Ok(()));
+    assert_eq!(machine.check(60_000_000, 64, 64), Ok(()));
 }
 
 #[test]

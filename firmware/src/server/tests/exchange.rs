@@ -54,7 +54,8 @@ fn with_any_number_of_channels_every_word_is_staged_and_answered_where_it_belong
             stepgens: n,
             encoders: 16 - n,
             pwms: (n * 5) % 17,
-            ..SIX
+            inputs: n * 4,
+            outputs: 64 - n * 4,
         };
         let mut rig = Rig::with_channels(channels);
         rig.arm();
@@ -64,7 +65,17 @@ fn with_any_number_of_channels_every_word_is_staged_and_answered_where_it_belong
             command.stepgen[channel] = (Velocity(-1 - word), Accel(100 + channel as u32));
             command.pwm[channel] = 200 + channel as u32;
         }
+        command.gpio_out = 0x8765_4321_1234_5678;
         let status = rig.exchange_as(ALICE, &command).unwrap();
+        let high = if channels.outputs > 32 {
+            0x8765_4321
+        } else {
+            0
+        };
+        let staged = [command::GPIO_OUT, command::GPIO_OUT_HIGH].map(|word| rig.board.live[word]);
+        assert_eq!(staged, [0x1234_5678, high], "{channels:?}");
+        let high = if channels.inputs > 32 { 0x1058 } else { 0 };
+        assert_eq!(status.gpio_in, high << 32 | 0x1002, "{channels:?}");
         for channel in 0..16 {
             let (velocity, accel) = command.stepgen[channel];
             let there = channel < usize::from(channels.stepgens);

@@ -14,6 +14,7 @@ use crate::model::stepgen::{self, Stepgen};
 use crate::model::timebase::Timebase;
 use crate::model::watchdog::Watchdog;
 use crate::model::wide_counter::{ROTATION, WideCounter};
+use wire::channels::WORD_PINS;
 use wire::map::{PROBE_ENABLE, PROBE_INPUT_MASK, PROBE_INVERT};
 
 impl Regs {
@@ -221,9 +222,11 @@ pub(super) struct Hub {
     pub(super) watchdog: Watchdog,
     pub(super) timebase: Timebase,
     pub(super) gpio: Gpio,
+    /// The pins behind the first word, where there are any.
+    pub(super) gpio_high: Option<Gpio>,
     pub(super) led: Led,
     pub(super) probe: bool,
-    pub(super) inputs: u32,
+    pub(super) inputs: u64,
     pub(super) reset: bool,
 }
 
@@ -241,6 +244,10 @@ impl Hub {
                 build.estop_mask,
                 build.estop_level,
             ),
+            gpio_high: (c.inputs.max(c.outputs) > WORD_PINS).then(|| {
+                let behind = |count: u8| count.saturating_sub(WORD_PINS).into();
+                Gpio::new(behind(c.inputs), behind(c.outputs), 0, 0)
+            }),
             led: Led::new(u32::BITS - build.clock_hz.leading_zeros()),
             probe: false,
             inputs: 0,
@@ -252,15 +259,39 @@ impl Hub {
         gpio::Input {
             gate: common.gate,
             commit: false,
-            value: regs.outputs,
-            safe: regs.safe,
-            invert: regs.invert,
-            pins: self.inputs,
+            value: regs.outputs[0],
+            safe: regs.safe[0],
+            invert: regs.invert[0],
+            pins: self.inputs as u32,
             limit: None,
             clear: false,
             job_mask: regs.mask,
             job_value: regs.aux,
         }
+    }
+
+    /// Of the pins behind the first word. No job controls them.
+    pub(super) fn gpio_high_input(&self, regs: &Regs, common: &Common) -> gpio::Input {
+        gpio::Input {
+            gate: common.gate,
+            value: regs.outputs[1],
+            safe: regs.safe[1],
+            invert: regs.invert[1],
+            pins: (self.inputs >> u32::BITS) as u32,
+            ..gpio::Input::default()
+        }
+    }
+
+    /// Debounced inputs, a bit each.
+    pub(super) fn levels(&self) -> [u32; 2] {
+        let high = self.gpio_high.as_ref().map_or(0, Gpio::level);
+        [self.gpio.level(), high]
+    }
+
+    /// Output pins, a bit each.
+    pub(super) fn out(&self) -> u64 {
+        let high = self.gpio_high.as_ref().map_or(0, Gpio::out);
+        u64::from(high) << u32::BITS | u64::from(self.gpio.out())
     }
 
     pub(super) fn next_probe(&self, regs: &Regs) -> bool {
@@ -278,6 +309,9 @@ impl Hub {
             .min(self.watchdog.quiet())
             .min(self.timebase.quiet(regs.commit_at()))
             .min(self.gpio.quiet(&self.gpio_input(regs, common)))
+            .min(self.gpio_high.as_ref().map_or(u64::MAX, |gpio| {
+                gpio.quiet(&self.gpio_high_input(regs, common))
+            }))
             .min(self.led.quiet(regs.led))
     }
 
@@ -287,6 +321,9 @@ impl Hub {
             self.watchdog.skip(clocks);
             self.timebase.skip(clocks, regs.commit_at());
             self.gpio.skip(clocks);
+            if let Some(gpio) = &mut self.gpio_high {
+                gpio.skip(clocks);
+            }
             self.led.skip(clocks);
             self.at = to;
         }

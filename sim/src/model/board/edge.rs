@@ -1,11 +1,15 @@
 //! One rising edge of all parts, in the order of the hardware: bus writes, samples, cores,
 //! registers, pins.
 
-use super::registers::place;
+use super::registers::{mask, place};
 use super::{Board, Bus, Strobes, pages, put};
 use crate::model::segments::{self, Order};
-use crate::model::{timebase, watchdog};
+use crate::model::{gpio, timebase, watchdog};
+use wire::channels::WORD_PINS;
 use wire::regmap;
+
+/// Pins of a word.
+const WORD: usize = WORD_PINS as usize;
 
 /// What the fast path has executed, in the clock in which it happens.
 #[derive(Clone, Copy, Debug, Default)]
@@ -109,7 +113,7 @@ impl Board {
 
     fn catch_sample(&mut self, now: u64) {
         self.sample = now;
-        self.gpio_caught = self.hub.gpio.level();
+        self.gpio_caught = self.hub.levels();
         self.estop_caught = self.hub.gpio.estop_latched();
         self.left_caught = self.hub.watchdog.remaining();
         let mut flags = [0u32; 3];
@@ -180,10 +184,19 @@ impl Board {
         };
         let mut pins = hub.gpio_input(regs, common);
         pins.commit = commit;
-        pins.limit = pulses.limit;
+        pins.limit = pulses.limit.filter(|(pin, _)| *pin < WORD);
         pins.clear = hub.watchdog.cleared(&orders);
         hub.probe = hub.next_probe(regs) && !rst;
         hub.gpio.clock(&pins);
+        let high = hub.gpio_high_input(regs, common);
+        if let Some(gpio) = &mut hub.gpio_high {
+            let limit = pulses.limit;
+            gpio.clock(&gpio::Input {
+                commit,
+                limit: limit.and_then(|(pin, looks)| Some((pin.checked_sub(WORD)?, looks))),
+                ..high
+            });
+        }
         hub.watchdog.clock(&orders);
         hub.timebase.clock(timebase::Input {
             rst,
@@ -267,12 +280,7 @@ impl Board {
     }
 
     pub(super) fn show_hub(&mut self) {
-        self.out.gpio_out = self.hub.gpio.out()
-            & if self.build.channels.outputs == 0 {
-                0
-            } else {
-                !0
-            };
+        self.out.gpio_out = self.hub.out() & mask(self.build.channels.outputs);
         self.out.led = self.hub.led.lit().into();
         let (reset, estop) = (self.hub.extreset.active(), self.hub.gpio.estop());
         self.out.gate = self.hub.watchdog.gate(reset, estop).into();

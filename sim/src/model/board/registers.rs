@@ -1,12 +1,18 @@
 //! The registers: the values that the bus wrote, and the value that each reads.
 
 use super::{Board, CHANNELS, pages};
+use crate::model::gpio::Gpio;
 use crate::model::segments::{self, State, Told};
 use crate::model::stepgen;
 use motion::segment::PACE_ONE;
 use wire::exchange::PWM_PERIOD_MAX;
 use wire::map::{DIR_CLOCKS_MAX, PROBE_ENABLE, PROBE_INPUT_MASK, PROBE_INVERT, STEP_CLOCKS_MAX};
 use wire::regmap::{self, command, status};
+
+/// The lowest `count` bits.
+pub(super) fn mask(count: u8) -> u64 {
+    1u64.checked_shl(count.into()).unwrap_or(0).wrapping_sub(1)
+}
 
 /// Bits of a word's number in the address of a bus cycle.
 pub(super) const WORD_BITS: u32 = (regmap::CSR_PAGE / 4).trailing_zeros();
@@ -55,12 +61,13 @@ pub(super) struct Regs {
     pub(super) commit_at: [u32; 2],
     /// The guard is closed. There is no bus here whose stores it would refuse.
     pub(super) guarded: bool,
-    pub(super) safe: u32,
-    pub(super) invert: u32,
+    /// Of the outputs' first word, and of the one behind it.
+    pub(super) safe: [u32; 2],
+    pub(super) invert: [u32; 2],
     pub(super) probe: u32,
     pub(super) led: u32,
     pub(super) enables: u32,
-    pub(super) outputs: u32,
+    pub(super) outputs: [u32; 2],
     pub(super) arms: u32,
     pub(super) probe_arms: u32,
     /// The three words of bits as committed.
@@ -99,12 +106,12 @@ impl Regs {
             grace: 0,
             commit_at: [0; 2],
             guarded: false,
-            safe: 0,
-            invert: 0,
+            safe: [0; 2],
+            invert: [0; 2],
             probe: 0,
             led: 0,
             enables: 0,
-            outputs: 0,
+            outputs: [0; 2],
             arms: 0,
             probe_arms: 0,
             enables_now: 0,
@@ -164,10 +171,9 @@ impl Board {
 
     pub(super) fn store(&mut self, page: u32, word: usize, data: u32, job: Told) {
         let c = self.build.channels;
-        let outputs = 1u32
-            .checked_shl(c.outputs.max(1).into())
-            .unwrap_or(0)
-            .wrapping_sub(1);
+        // No outputs at all are one in the gateware.
+        let all = mask(c.outputs.max(1));
+        let (outputs, outputs_high) = (all as u32, (all >> u32::BITS) as u32);
         let regs = &mut self.regs;
         let channel = |first: u32, count: u8| {
             (first..first + u32::from(count))
@@ -182,15 +188,20 @@ impl Board {
             }
             (pages::WATCHDOG, regmap::watchdog::TIMEOUT) => regs.timeout = data,
             (pages::WATCHDOG, regmap::watchdog::GRACE) => regs.grace = data,
-            (pages::GPIO, regmap::gpio::SAFE) => regs.safe = data & outputs,
-            (pages::GPIO, regmap::gpio::INVERT_OUT) => regs.invert = data & outputs,
+            (pages::GPIO, regmap::gpio::SAFE) => regs.safe[0] = data & outputs,
+            (pages::GPIO, regmap::gpio::INVERT_OUT) => regs.invert[0] = data & outputs,
+            (pages::GPIO_HIGH, regmap::gpio_high::SAFE) => regs.safe[1] = data & outputs_high,
+            (pages::GPIO_HIGH, regmap::gpio_high::INVERT_OUT) => {
+                regs.invert[1] = data & outputs_high;
+            }
             (pages::GPIO, regmap::gpio::PROBE) => regs.probe = data & PROBE,
             (pages::LED, regmap::led::PATTERN) => regs.led = data & regmap::led::PATTERN_SELECT,
             (pages::DEBOUNCE, _) if word < usize::from(c.inputs) => {
                 regs.debounce[word] = data as u16
             }
             (pages::COMMAND, command::ENABLES) => regs.enables = data,
-            (pages::COMMAND, command::GPIO_OUT) => regs.outputs = data & outputs,
+            (pages::COMMAND, command::GPIO_OUT) => regs.outputs[0] = data & outputs,
+            (pages::COMMAND, command::GPIO_OUT_HIGH) => regs.outputs[1] = data & outputs_high,
             (pages::COMMAND, command::ARMS) => regs.arms = data,
             (pages::COMMAND, command::PROBE_ARMS) => regs.probe_arms = data,
             (pages::COMMAND, STEPGENS..PWMS) if stepgen_word(word).0 < usize::from(c.stepgens) => {
@@ -223,7 +234,7 @@ impl Board {
             (pages::RX_ADMISSION, regmap::rx_admission::MODE) => {
                 regs.mode = data & regmap::rx_admission::MODE_SELECT;
             }
-            (pages::COMMAND, PWMS..command::WORDS) if word - PWMS < usize::from(c.pwms) => {
+            (pages::COMMAND, PWMS..command::GPIO_OUT_HIGH) if word - PWMS < usize::from(c.pwms) => {
                 regs.pwm[word - PWMS] = data;
             }
             _ => {
@@ -308,24 +319,26 @@ impl Board {
             (pages::WATCHDOG, regmap::watchdog::BITES) => hub.watchdog.bites(),
             (pages::WATCHDOG, regmap::watchdog::LAST_CLOSE) => hub.watchdog.last_close().into(),
             (pages::GPIO, regmap::gpio::IN_NOW) if c.inputs != 0 => hub.gpio.level(),
-            (pages::GPIO, regmap::gpio::SAFE) if c.outputs != 0 => regs.safe,
-            (pages::GPIO, regmap::gpio::INVERT_OUT) if c.outputs != 0 => regs.invert,
+            (pages::GPIO, regmap::gpio::SAFE) if c.outputs != 0 => regs.safe[0],
+            (pages::GPIO, regmap::gpio::INVERT_OUT) if c.outputs != 0 => regs.invert[0],
             (pages::GPIO, regmap::gpio::OUT_NOW) if c.outputs != 0 => hub.gpio.out(),
             (pages::GPIO, regmap::gpio::RAW_NOW) if c.inputs != 0 => hub.gpio.raw(),
             (pages::GPIO, regmap::gpio::ESTOP_MASK) => self.build.estop_mask,
             (pages::GPIO, regmap::gpio::ESTOP_LEVEL) => self.build.estop_level,
             (pages::GPIO, regmap::gpio::PROBE) => regs.probe,
+            (pages::GPIO_HIGH, _) => self.gpio_high_word(at),
             (pages::LED, regmap::led::PATTERN) => regs.led,
             (pages::DEBOUNCE, 0..regmap::debounce::WORDS) => regs.debounce[at].into(),
             (pages::COMMAND, command::ENABLES) => regs.enables,
-            (pages::COMMAND, command::GPIO_OUT) if c.outputs != 0 => regs.outputs,
+            (pages::COMMAND, command::GPIO_OUT) if c.outputs != 0 => regs.outputs[0],
+            (pages::COMMAND, command::GPIO_OUT_HIGH) => regs.outputs[1],
             (pages::COMMAND, command::ARMS) => regs.arms,
             (pages::COMMAND, command::PROBE_ARMS) => regs.probe_arms,
             (pages::COMMAND, STEPGENS..PWMS) => match stepgen_word(at) {
                 (n, 0) => regs.velocity[n],
                 (n, _) => regs.accel[n],
             },
-            (pages::COMMAND, PWMS..command::WORDS) => regs.pwm[at - PWMS],
+            (pages::COMMAND, PWMS..command::GPIO_OUT_HIGH) => regs.pwm[at - PWMS],
             (pages::RX_ADMISSION, regmap::rx_admission::MODE) => regs.mode,
             (pages::RX_ADMISSION, regmap::rx_admission::REFUSED) => self.admission.refused(),
             (pages::FAST_PATH, regmap::fast_path::STATUS) => self.pass_status(),
@@ -353,6 +366,20 @@ impl Board {
                     0
                 }
             }
+        }
+    }
+
+    /// A word of the inputs and outputs behind the first 32.
+    fn gpio_high_word(&self, word: usize) -> u32 {
+        let (regs, hub) = (&self.regs, &self.hub);
+        let high = mask(self.build.channels.outputs) >> u32::BITS;
+        match word {
+            regmap::gpio_high::IN_NOW => hub.levels()[1],
+            regmap::gpio_high::SAFE => regs.safe[1],
+            regmap::gpio_high::INVERT_OUT => regs.invert[1],
+            regmap::gpio_high::OUT_NOW => (hub.out() >> u32::BITS & high) as u32,
+            regmap::gpio_high::RAW_NOW => hub.gpio_high.as_ref().map_or(0, Gpio::raw),
+            _ => 0,
         }
     }
 
@@ -384,7 +411,8 @@ impl Board {
         match word {
             status::SAMPLE_LO => self.sample as u32,
             status::SAMPLE_HI => (self.sample >> 32) as u32,
-            status::GPIO_IN => self.gpio_caught,
+            status::GPIO_IN => self.gpio_caught[0],
+            status::GPIO_IN_HIGH => self.gpio_caught[1],
             status::FLAGS0 => self.flags_caught[0],
             status::FLAGS1 => self.flags_caught[1],
             status::FLAGS2 => self.flags_caught[2],
@@ -399,7 +427,7 @@ impl Board {
                     _ => channel.sampled[1],
                 })
             }
-            status::ENCODER0_COUNT..status::RESERVED0 => {
+            status::ENCODER0_COUNT..status::GPIO_IN_HIGH => {
                 let at = after(status::ENCODER0_COUNT);
                 let channel = self.encoders.get(at / status::ENCODER_STRIDE);
                 channel.map_or(0, |channel| match at % status::ENCODER_STRIDE {
@@ -427,11 +455,11 @@ impl Board {
         let known = self.seen.iter().find(|(since, _)| *since <= then);
         let levels = known.unwrap_or(&self.seen[2]).1;
         let c = self.build.channels;
-        let mask = |count: u8| ((1u64 << count) - 1) as u32;
-        let masks = [c.stepgens, c.stepgens, c.pwms].map(|count| mask(count) * 0x1_0001);
+        let masks = [c.stepgens, c.stepgens, c.pwms].map(|count| mask(count) as u32 * 0x1_0001);
         match word {
             0..3 => levels[word] & masks[word],
-            3 => levels[3] & mask(c.outputs),
+            3 => levels[3] & mask(c.outputs) as u32,
+            4 => levels[4] & (mask(c.outputs) >> u32::BITS) as u32,
             _ => 0,
         }
     }

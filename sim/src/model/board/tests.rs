@@ -10,8 +10,8 @@ const BUILD: Build = Build {
         stepgens: 3,
         encoders: 2,
         pwms: 2,
-        inputs: 4,
-        outputs: 4,
+        inputs: 40,
+        outputs: 36,
     },
     clock_hz: 60_000,
     estop_mask: 8,
@@ -27,7 +27,7 @@ const BUILD: Build = Build {
 #[derive(Clone, Debug)]
 enum Deed {
     Write(u32, u32, u32),
-    Inputs(u32),
+    Inputs(u64),
     Shaft(usize, u16),
     IndexPins(u16, u16, u16),
     Reset(bool),
@@ -66,6 +66,8 @@ fn deed() -> impl Strategy<Value = Deed> {
             Deed::Write(command, 36 + n, w << 8 | u32::from(part) | 1 << 30 | u32::from(dir) << 31)
         }),
         2 => (0..4u32, any::<u32>()).prop_map(move |(w, bits)| Deed::Write(command, w, bits | 7)),
+        1 => any::<u32>().prop_map(move |bits| Deed::Write(command, 52, bits)),
+        1 => (1..3u32, any::<u32>()).prop_map(|(w, bits)| Deed::Write(pages::GPIO_HIGH, w, bits)),
         6 => prop_oneof![Just(1u32), Just(2), Just(3), Just(4), Just(6)]
             .prop_map(|s| Deed::Write(pages::TIMEBASE, 7, s)),
         1 => (0..2u32, 0..3000u32).prop_map(|(w, at)| Deed::Write(pages::TIMEBASE, 6 - w, at * w)),
@@ -84,6 +86,7 @@ fn deed() -> impl Strategy<Value = Deed> {
         1 => (1..3u32, 0..16u32).prop_map(|(w, bits)| Deed::Write(pages::GPIO, w, bits)),
         1 => (0..4u32, 0..4u32).prop_map(|(n, how)| Deed::Write(pages::GPIO, 7, n | how << 8)),
         1 => (0..4u32, 0..9u32).prop_map(|(n, limit)| Deed::Write(pages::DEBOUNCE, n, limit)),
+        1 => (30..41u32, 0..9u32).prop_map(|(n, limit)| Deed::Write(pages::DEBOUNCE, n, limit)),
         1 => (0..8u32).prop_map(|pattern| Deed::Write(pages::LED, 0, pattern)),
         2 => (18..22u32, word()).prop_map(|(w, data)| Deed::Write(pages::SEGMENTS, w, data)),
         1 => Just(Deed::Write(pages::SEGMENTS, 18, 0x1_0000)),
@@ -91,7 +94,7 @@ fn deed() -> impl Strategy<Value = Deed> {
         3 => (64..400u32, any::<u32>(), (-400_000_000..400_000_000i32), word(), any::<bool>()).prop_map(|(clocks, aux, v, a, last)| {
             Deed::Segment([clocks, aux, if last { 0 } else { v as u32 }, a, if last { 0 } else { !v as u32 >> 4 }, a >> 3])
         }),
-        2 => (0..8u32).prop_map(Deed::Inputs),
+        2 => (0..8u64, any::<u8>()).prop_map(|(low, high)| Deed::Inputs(low | u64::from(high) << 32)),
         8 => (0..2usize, 0..4u16).prop_map(|(n, phase)| Deed::Shaft(n, phase)),
         2 => (0..4u16, 0..4u16, 0..8u16).prop_map(|(i, m, s)| Deed::IndexPins(i, m, s)),
         1 => prop_oneof![9 => Just(false), 1 => Just(true)].prop_map(Deed::Reset),
@@ -103,7 +106,8 @@ fn deed() -> impl Strategy<Value = Deed> {
 fn registers() -> impl Iterator<Item = (u32, u32)> {
     let wide = (8..16).flat_map(|page| (0..120).map(move |word| (page, word)));
     let wide = wide.chain((0..30).map(|word| (pages::SEGMENTS, word)));
-    let wide = wide.chain((0..4).map(|word| (pages::PADS, word)));
+    let wide = wide.chain((0..5).map(|word| (pages::PADS, word)));
+    let wide = wide.chain((0..5).map(|word| (pages::GPIO_HIGH, word)));
     let wide = wide.chain((0..23).map(|word| (pages::FAST_PATH, word)));
     let wide = wide.chain((0..19).map(|word| (pages::RX_ADMISSION, word)));
     wide.chain((16..64).flat_map(|page| (0..6).map(move |word| (page, word))))
@@ -181,7 +185,8 @@ fn a_frame_with_a_pass_is_committed_sampled_and_fed_in_one_clock_and_answered_fr
         let answer = board.answer()[first..].to_vec();
         assert_eq!(answer[4], (before + 1) as u32);
         assert_eq!(answer[6], board.left_caught);
-        assert_eq!(answer[10], board.gpio_caught);
+        assert_eq!(answer[10], board.gpio_caught[0]);
+        assert_eq!(answer.last(), Some(&board.gpio_caught[1]));
         // Nothing is sampled meanwhile.
         let words = [
             regmap::status::STEPGEN0_POSITION_LO,
