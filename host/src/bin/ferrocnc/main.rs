@@ -111,8 +111,8 @@ enum ToolCommand {
     /// What of this computer makes exchanges late or loses them: kernel, processors, network port,
     /// addresses. It only reads, and needs no root, but for --fix and --undo.
     Doctor(doctor::Doctor),
-    /// Pages in a browser: boards, a dashboard, a configurator for board files, the doctor. They show
-    /// what the commands answer, from a server on this computer alone.
+    /// Pages in a browser: boards, a dashboard, a configurator for board files, the doctor. They
+    /// show what the commands answer, from a server on this computer alone.
     Ui(ui::Ui),
     /// An Ethernet port of this computer, given to the board so that it lasts, and taken back.
     #[command(subcommand)]

@@ -147,8 +147,7 @@ function Editor({ file, put }) {
   return html`<div class="editor">
     <section aria-label="The card">
       ${drawing && html`<h2>${drawing.title}</h2><p>${drawing.facts}</p>
-        <${Card} drawing=${drawing} old=${verdict && !verdict.ok} chosen=${pin} choose=${choose} />
-        <p role="status" class="chosen">${pin ? spoken(pin) : "Point at a pin to find its line."}</p>`}
+        <${Card} drawing=${drawing} old=${verdict && !verdict.ok} chosen=${pin} choose=${choose} />`}
     </section>
     <section aria-label="The board file">
       <div class="row">
@@ -160,7 +159,8 @@ function Editor({ file, put }) {
       </div>
       <${Problem} error=${error} />
       <${Verdict} verdict=${verdict} goto=${(line) => show(area.current, ...lineOf(toml, line))} />
-      <label class="text"><span>TOML</span><textarea ref=${area} spellcheck="false" wrap="off" rows="40"
+      <p role="status" class="chosen">${pin ? spoken(pin) : "Point at a pin to find its line."}</p>
+      <label class="text"><span>TOML</span><textarea ref=${area} spellcheck="false" wrap="off"
         value=${toml} onInput=${(event) => put({ toml: event.target.value, saved: false })} /></label>
     </section>
   </div>`;
