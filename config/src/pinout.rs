@@ -65,6 +65,21 @@ impl Use {
         }
     }
 
+    /// Its name for other programs.
+    pub const fn key(self) -> &'static str {
+        match self {
+            Use::Stepgen => "stepgen",
+            Use::Encoder => "encoder",
+            Use::Pwm => "pwm",
+            Use::Input => "input",
+            Use::Output => "output",
+            Use::Stop => "stop",
+            Use::Factory => "factory",
+            Use::Free => "free",
+            Use::Ground => "ground",
+        }
+    }
+
     /// One letter, for a print without colour.
     pub const fn letter(self) -> char {
         match self {

@@ -36,6 +36,11 @@ const PACKAGES: &[(&str, &str)] = &[
     ("util-linux", "their network namespaces"),
     ("inetutils-telnet", "a real telnet at the consoles"),
     ("curl", "reads the status page"),
+    (
+        "chromium",
+        "shows the pages of `ferrocnc ui` to their tests",
+    ),
+    ("chromium-driver", "drives it"),
     ("avahi-daemon", "looks for boards by their names"),
     ("avahi-utils", "asks it"),
     ("dbus-daemon", "the bus they talk over, one of each test's"),

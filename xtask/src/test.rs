@@ -57,6 +57,8 @@ enum Level {
     /// LiteX's own client, ping and a console session; telnet, curl, avahi and dnsmasq at the
     /// board's own IP stack. That the Verilated board renews its lease only if it is named.
     Clients,
+    /// The pages of `ferrocnc ui` in Debian's Chromium, without a screen, against the twin.
+    Ui,
     /// Real LinuxCNC, our driver, the twin: homing, probing, threading, four boards, other drivers'
     /// HAL files; cables pulled, boards restarted, processes killed, frames lost.
     Twin,
@@ -99,6 +101,7 @@ const ALL: &[Level] = &[
     Level::Peers,
     Level::Provision,
     Level::Clients,
+    Level::Ui,
     Level::Twin,
     Level::Linuxcnc,
     Level::Fuzz,
@@ -326,6 +329,7 @@ impl Level {
             Level::Peers => "peers: defects of others, on the RTL board",
             Level::Provision => "provision: flash and network, power lost at every step",
             Level::Clients => "clients: LiteX RemoteClient, telnet, curl, avahi, dnsmasq",
+            Level::Ui => "ui: the tool's pages in Chromium, against the twin",
             Level::Twin => "twin: real LinuxCNC, our driver, the cores' models",
             Level::Linuxcnc => "linuxcnc: real LinuxCNC, our driver, simulated board",
             Level::Fuzz => "fuzz: random datagrams, frames and files",
@@ -393,6 +397,7 @@ impl Level {
                     true => all_tests_of("network", "7 min", "3")?,
                     false => board_tests("network", "2 min", "3")?,
                 }),
+            Level::Ui => board_tests("ui", "1 min", "2"),
             Level::Twin => Ok(board_tests("twin", "3 min", "1")?
                 + board_tests("guide", "2 min", "1")?
                 + board_tests("trouble", "7 min", "1")?),

@@ -1,22 +1,25 @@
 //! `ferrocnc config`: writes, checks, shows and draws board files, and imports those of other
 //! projects. It needs no board.
 
+mod check;
+mod drawing;
+
+pub(crate) use check::check_text;
+pub(crate) use drawing::{pinout_of, pinout_to_json};
+
 use crate::consent;
 use crate::hal_file::{self, Rewritten};
-use crate::text::{drawn, say};
-use anyhow::{Context, Result, anyhow, bail};
+use crate::text::say;
+use anyhow::{Result, anyhow, bail};
 use clap::{Args, Subcommand, ValueEnum};
 use ferrocnc_config::board::Platforms;
 use ferrocnc_config::import::{Imported, lcnc, litexcnc};
 use ferrocnc_config::new::{Wanted, layout};
 use ferrocnc_config::peers;
-use ferrocnc_config::pinout::{self, Pinout};
 use ferrocnc_config::source::{Folder, read_text};
-use ferrocnc_config::{
-    Board, Error, Platform, export, first_light, read_board, schema, show, write,
-};
+use ferrocnc_config::{Board, Platform, export, first_light, read_board, schema, show, write};
+use serde::Deserialize;
 use serde_json::{Value, json};
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
 #[derive(Subcommand)]
@@ -112,10 +115,11 @@ pub(crate) enum ConfigCommand {
     },
 }
 
-#[derive(Args)]
+#[derive(Args, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(crate) struct New {
     /// The configuration's name; the file becomes NAME.toml.
-    name: String,
+    pub(crate) name: String,
     /// The PCB; without it the command lists the known ones.
     #[arg(long, default_value = "")]
     platform: String,
@@ -139,9 +143,11 @@ pub(crate) struct New {
     modified: Vec<String>,
     /// The file, or the folder, to write to; the current folder if not given.
     #[arg(long, short, value_name = "BOARD.toml")]
+    #[serde(skip)]
     output: Option<PathBuf>,
     /// Overwrite it.
     #[arg(long)]
+    #[serde(skip)]
     force: bool,
 }
 
@@ -152,7 +158,8 @@ pub(crate) enum When {
     Never,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
+#[derive(Clone, Copy, ValueEnum, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub(crate) enum From {
     Lcnc,
     Litexcnc,
@@ -161,7 +168,7 @@ pub(crate) enum From {
 pub(crate) fn run(command: &ConfigCommand, as_json: bool) -> Result<()> {
     match command {
         ConfigCommand::New(new) => self::new(new),
-        ConfigCommand::Check { files } => check(files, as_json),
+        ConfigCommand::Check { files } => check::check(files, as_json),
         ConfigCommand::Show { file, toml } => {
             let board = read_board(file)?;
             let text = match (as_json, toml) {
@@ -175,7 +182,7 @@ pub(crate) fn run(command: &ConfigCommand, as_json: bool) -> Result<()> {
             what,
             output,
             color,
-        } => draw(what, output.as_deref(), *color),
+        } => drawing::draw(what, output.as_deref(), *color, as_json),
         ConfigCommand::Import {
             from,
             file,
@@ -223,178 +230,70 @@ pub(crate) fn run(command: &ConfigCommand, as_json: bool) -> Result<()> {
 
 fn new(new: &New) -> Result<()> {
     let file = target(&new.name, new.output.as_deref(), new.force)?;
-    let folder = Folder::beside(&file);
-    let Some((platform_file, text)) = folder.text(&new.platform) else {
-        bail!("--platform is one of {}", folder.names().join(", "));
-    };
-    let platform = Platform::read(&platform_file, &new.platform, &text)?;
-    let wanted = Wanted {
-        counts: [
-            new.stepgens,
-            new.encoders,
-            new.pwms,
-            new.inputs,
-            new.outputs,
-        ],
-        modified: new.modified.clone(),
-    };
-    let board = layout(&stem(&file), platform, &wanted)?;
-    let notes = [
-        format!("{}: the use of every pin of a {}. `ferrocnc config pinout` draws it.", board.name, board.platform.title),
-        "ext_reset: closing the KEY terminal to ground stops the machine. A machine with an emergency-stop chain wires a normally closed contact to ground and says \"high\", so that a broken wire stops it.".to_owned(),
-    ];
-    let toml = write::to_toml(&board, &notes);
-    // The reader must accept what we write. If it does not, the numbers asked for are too large,
-    // and its error names them.
-    Board::read(&file.display().to_string(), &board.name, &toml, &folder)?;
-    save(&file, &toml)
+    save(&file, &new.toml(&file)?)
 }
 
-fn check(files: &[PathBuf], as_json: bool) -> Result<()> {
-    let results: Vec<(&PathBuf, Result<Read, Error>)> =
-        files.iter().map(|file| (file, read(file))).collect();
-    let wrong = results.iter().filter(|(_, result)| result.is_err()).count();
-    if as_json {
-        let list: Vec<Value> = results
-            .iter()
-            .map(|(file, result)| verdict(file, result))
-            .collect();
-        say(&format!("{:#}\n", Value::Array(list)))?;
-    } else {
-        for (file, result) in &results {
-            match result {
-                Ok(Read::Board(board)) => say(&format!(
-                    "{}: ok, {}{}\n",
-                    file.display(),
-                    counts(board),
-                    pinless(board)
-                ))?,
-                Ok(Read::Platform(platform)) => {
-                    say(&format!("{}: ok, {}\n", file.display(), platform.title))?
-                }
-                Err(error) => say(&format!("{error}\n"))?,
-            }
-        }
-    }
-    match (wrong, files.len()) {
-        (0, _) => Ok(()),
-        (_, 1) => bail!("it cannot be built"),
-        (wrong, all) => bail!("{wrong} of {all} cannot be built"),
+impl New {
+    /// The text of the configuration, as this file has it.
+    pub(crate) fn toml(&self, file: &Path) -> Result<String> {
+        let folder = Folder::beside(file);
+        let Some((platform_file, text)) = folder.text(&self.platform) else {
+            bail!("--platform is one of {}", folder.names().join(", "));
+        };
+        let platform = Platform::read(&platform_file, &self.platform, &text)?;
+        let wanted = Wanted {
+            counts: [
+                self.stepgens,
+                self.encoders,
+                self.pwms,
+                self.inputs,
+                self.outputs,
+            ],
+            modified: self.modified.clone(),
+        };
+        let board = layout(&stem(file), platform, &wanted)?;
+        let notes = [
+            format!(
+                "{}: the use of every pin of a {}. `ferrocnc config pinout` draws it.",
+                board.name, board.platform.title
+            ),
+            "ext_reset: closing the KEY terminal to ground stops the machine. A machine with an emergency-stop chain wires a normally closed contact to ground and says \"high\", so that a broken wire stops it.".to_owned(),
+        ];
+        let toml = write::to_toml(&board, &notes);
+        // The reader must accept what we write. If it does not, the numbers asked for are too
+        // large, and its error names them.
+        Board::read(&file.display().to_string(), &board.name, &toml, &folder)?;
+        Ok(toml)
     }
 }
 
-enum Read {
-    Board(Box<Board>),
-    Platform(Box<Platform>),
-}
-
-/// A configuration is good when its description fits the board, too.
-fn read(file: &Path) -> Result<Read, Error> {
-    if is_of_platforms(file) {
-        let platform = Platform::read(&file.display().to_string(), &stem(file), &read_text(file)?)?;
-        return Ok(Read::Platform(Box::new(platform)));
-    }
-    let board = read_board(file)?;
-    ferrocnc_config::blob::blob(&board)?;
-    Ok(Read::Board(Box::new(board)))
-}
-
-fn is_of_platforms(file: &Path) -> bool {
-    let folder = file.parent().and_then(Path::file_name);
-    folder.is_some_and(|folder| folder == "platforms")
-}
-
-fn verdict(file: &Path, result: &Result<Read, Error>) -> Value {
-    match result {
-        Ok(Read::Platform(platform)) => {
-            json!({ "file": file, "ok": true, "platform": platform.name })
-        }
-        Ok(Read::Board(board)) => {
-            json!({ "file": file, "ok": true, "name": board.name, "platform": board.platform.name, "missing_pins": board.missing_pins() })
-        }
-        Err(error) => json!({
-            "file": error.file, "ok": false, "line": error.place.map(|place| place.line), "column": error.place.map(|place| place.column),
-            "key": error.key, "value": error.value, "problem": error.problem, "remedy": error.remedy,
-        }),
-    }
-}
-
-fn counts(board: &Board) -> String {
-    let some = |class: ferrocnc_config::Class| match board.of(class).len() {
-        0 => None,
-        count => Some(format!("{count} {}", class.key())),
-    };
-    let counts: Vec<String> = ferrocnc_config::Class::ALL
-        .into_iter()
-        .filter_map(some)
-        .collect();
-    format!(
-        "{} on {}: {}",
-        board.name,
-        board.platform.title,
-        counts.join(", ")
-    )
-}
-
-fn pinless(board: &Board) -> String {
-    match board.missing_pins().as_slice() {
-        [] => String::new(),
-        [first, ..] => format!("\n  for simulation only: {first} and others have no pins"),
-    }
-}
-
-fn draw(what: &Path, output: Option<&Path>, color: When) -> Result<()> {
-    let pinout = match platform(what)? {
-        Some(platform) => Pinout::of_platform(&platform),
-        None => Pinout::of_board(&read_board(what)?),
-    };
-    if let Some(file) = output {
-        std::fs::write(file, pinout::svg(&pinout))
-            .with_context(|| format!("cannot write {}", file.display()))?;
-        return say(&format!("{}: written\n", file.display()));
-    }
-    let coloured = match color {
-        When::Always => true,
-        When::Never => false,
-        When::Auto => std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none(),
-    };
-    say(&drawn(&pinout, coloured))
-}
-
-/// The platform of this name or file, if that is what it is.
-fn platform(what: &Path) -> Result<Option<Platform>> {
-    let name = what.to_str().unwrap_or_default();
-    let in_checkout =
-        Folder(Some(PathBuf::from("boards/platforms")).filter(|folder| folder.is_dir()));
-    if let Some((file, text)) = in_checkout.text(name) {
-        return Ok(Some(Platform::read(&file, name, &text)?));
-    }
-    if !is_of_platforms(what) {
-        return Ok(None);
-    }
-    Ok(Some(Platform::read(name, &stem(what), &read_text(what)?)?))
+/// The platforms that there are: in a checkout its own, else the built-in ones.
+pub(crate) fn platforms() -> Result<Value> {
+    let folder = Folder::beside(Path::new(""));
+    let known = folder.names().into_iter().filter_map(|name| {
+        let (file, text) = folder.text(&name)?;
+        let read = Platform::read(&file, &name, &text).map_err(Into::into);
+        Some(read.map(|it| json!({ "name": it.name, "title": it.title, "device": it.device })))
+    });
+    Ok(Value::Array(known.collect::<Result<_>>()?))
 }
 
 fn import(from: From, file: &Path, to: &Path, hal: Option<&Path>, force: bool) -> Result<()> {
     let text = read_text(file)?;
     let shown = file.display().to_string();
-    let name = stem(to);
-    let folder = Folder::beside(to);
-    let imported = match (from, hal) {
-        (From::Lcnc, Some(_)) => bail!(
+    if let (From::Lcnc, Some(_)) = (from, hal) {
+        bail!(
             "--hal is for litexcnc; of a HAL file for Lcnc change the one line yourself: loadrt ferrocnc boards=IP names=lcnc"
-        ),
-        (From::Lcnc, None) => lcnc(&shown, &text, &name, &folder)?,
-        (From::Litexcnc, _) => litexcnc(&shown, &text, &name, &folder)?,
-    };
-    ferrocnc_config::blob::blob(&imported.board)?;
+        );
+    }
+    let imported = imported(from, &shown, &text, &stem(to), to)?;
     // Before anything is written: its names may not exist.
     let rewritten = hal.map(|hal| rewrite(hal, &imported, force)).transpose()?;
     let Imported {
         board, toml, notes, ..
     } = imported;
     save(to, &toml)?;
-    say(&format!("  {}\n", counts(&board)))?;
+    say(&format!("  {}\n", check::counts(&board)))?;
     for note in notes {
         say(&format!("  note: {note}\n"))?;
     }
@@ -411,6 +310,23 @@ fn import(from: From, file: &Path, to: &Path, hal: Option<&Path>, force: bool) -
         }
     }
     Ok(())
+}
+
+/// Reads a file of another project as the board file `name`, which is to be written to `to`.
+pub(crate) fn imported(
+    from: From,
+    shown: &str,
+    text: &str,
+    name: &str,
+    to: &Path,
+) -> Result<Imported> {
+    let folder = Folder::beside(to);
+    let imported = match from {
+        From::Lcnc => lcnc(shown, text, name, &folder)?,
+        From::Litexcnc => litexcnc(shown, text, name, &folder)?,
+    };
+    ferrocnc_config::blob::blob(&imported.board)?;
+    Ok(imported)
 }
 
 /// A HAL file for the imported board, and where to write it.
@@ -444,7 +360,7 @@ fn export_to(to: From, file: &Path, output: Option<&Path>, force: bool) -> Resul
 }
 
 /// Where to write a configuration of this name.
-fn target(name: &str, output: Option<&Path>, force: bool) -> Result<PathBuf> {
+pub(crate) fn target(name: &str, output: Option<&Path>, force: bool) -> Result<PathBuf> {
     let file = match output {
         Some(folder) if folder.is_dir() => folder.join(format!("{name}.toml")),
         Some(file) => file.to_owned(),
@@ -457,7 +373,7 @@ fn target(name: &str, output: Option<&Path>, force: bool) -> Result<PathBuf> {
     Ok(file)
 }
 
-fn stem(path: &Path) -> String {
+pub(crate) fn stem(path: &Path) -> String {
     path.file_stem()
         .map_or(String::new(), |stem| stem.to_string_lossy().into_owned())
 }

@@ -15,20 +15,46 @@ use wire::refusal::COUNTERS_CALLS;
 use wire::settings::mac_of_uid;
 
 pub(crate) fn run(client: &mut Client, as_json: bool) -> Result<()> {
-    let identity = client.identify()?;
-    let overview = Overview::read(client)?;
-    let calls = Calls::read(client)?;
-    let ways = gather::ways(client)?;
+    let description = Description::read(client)?;
     let mut out = std::io::stdout().lock();
     if as_json {
-        let mut value = to_json(&identity, &overview);
-        value["services_longest_call"] = calls.to_json();
-        value["exchanges"] = ways_to_json(&ways);
-        writeln!(out, "{value:#}")?;
+        writeln!(out, "{:#}", description.to_json())?;
     } else {
-        write!(out, "{}", to_text(&identity, &overview, calls, &ways))?;
+        let Description {
+            identity,
+            overview,
+            calls,
+            ways,
+        } = &description;
+        write!(out, "{}", to_text(identity, overview, *calls, ways))?;
     }
     Ok(())
+}
+
+/// All that a board says of itself.
+pub(crate) struct Description {
+    identity: Identity,
+    overview: Overview,
+    calls: Calls,
+    ways: ways::Facts,
+}
+
+impl Description {
+    pub(crate) fn read(client: &mut Client) -> Result<Self> {
+        Ok(Description {
+            identity: client.identify()?,
+            overview: Overview::read(client)?,
+            calls: Calls::read(client)?,
+            ways: gather::ways(client)?,
+        })
+    }
+
+    pub(crate) fn to_json(&self) -> Value {
+        let mut value = to_json(&self.identity, &self.overview);
+        value["services_longest_call"] = self.calls.to_json();
+        value["exchanges"] = ways_to_json(&self.ways);
+        value
+    }
 }
 
 /// Clocks of the longest call of the services since the board's start.

@@ -23,6 +23,11 @@ pub(crate) struct Where {
 }
 
 impl Where {
+    /// At this address if there is one, else through this interface or all.
+    pub(crate) fn named(interface: Option<String>, at: Option<String>) -> Self {
+        Where { interface, at }
+    }
+
     pub(crate) fn finder(&self) -> Result<Finder> {
         Ok(match &self.at {
             Some(at) => Finder::at(address::parse(at, wire::DISCOVERY_PORT)?.socket)?,
@@ -41,15 +46,9 @@ pub(crate) struct Discover {
 }
 
 pub(crate) fn run(arguments: &Discover, as_json: bool) -> Result<()> {
-    let finder = arguments.wherever.finder()?;
-    let wait = Duration::from_millis(arguments.wait);
-    let boards = match arguments.wherever.at {
-        Some(_) => finder.all(wait)?,
-        None => both_ways(&finder, arguments.wherever.interface.as_deref(), wait)?,
-    };
+    let boards = find(&arguments.wherever, Duration::from_millis(arguments.wait))?;
     if as_json {
-        let boards: Vec<Value> = boards.iter().map(to_json).collect();
-        println!("{:#}", json!({ "boards": boards }));
+        println!("{:#}", all_to_json(&boards));
         return Ok(());
     }
     let filters = match arguments.wherever.at {
@@ -68,6 +67,15 @@ pub(crate) fn run(arguments: &Discover, as_json: bool) -> Result<()> {
         eprint!("{}", advice(&filters));
     }
     Ok(())
+}
+
+/// The boards that are there.
+pub(crate) fn find(wherever: &Where, wait: Duration) -> Result<Vec<Found>> {
+    let finder = wherever.finder()?;
+    Ok(match wherever.at {
+        Some(_) => finder.all(wait)?,
+        None => both_ways(&finder, wherever.interface.as_deref(), wait)?,
+    })
 }
 
 /// The boards that answer the broadcast, and those that announce themselves by multicast DNS: some
@@ -181,6 +189,11 @@ fn shared<T: Ord + Clone>(all: impl Iterator<Item = T>) -> Vec<T> {
     runs.filter(|run| run.len() > 1)
         .map(|run| run[0].clone())
         .collect()
+}
+
+pub(crate) fn all_to_json(boards: &[Found]) -> Value {
+    let boards: Vec<Value> = boards.iter().map(to_json).collect();
+    json!({ "boards": boards })
 }
 
 pub(crate) fn to_json(found: &Found) -> Value {

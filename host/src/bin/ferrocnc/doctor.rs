@@ -6,6 +6,7 @@ use clap::Args;
 use ferrocnc::doctor::fix::{Fix, before, fixes, undo_file, written};
 use ferrocnc::doctor::system::System;
 use ferrocnc::doctor::{Subject, board, examine};
+use ferrocnc::finding::Report;
 use std::path::PathBuf;
 
 #[derive(Args)]
@@ -49,11 +50,11 @@ pub(crate) fn run(arguments: &Doctor, as_json: bool) -> Result<()> {
         (_, true) => return undo(&system, arguments.yes),
         (false, false) => {}
     }
-    let client = arguments.address.as_deref().map(crate::open).transpose()?;
     if let Some(seconds) = arguments.soak {
-        let Some(client) = client else {
+        let Some(address) = &arguments.address else {
             bail!("name the board to measure: ferrocnc doctor BOARD --soak");
         };
+        let client = crate::open(address)?;
         let options = soak::Options {
             seconds,
             plot: arguments.plot.as_deref(),
@@ -62,15 +63,19 @@ pub(crate) fn run(arguments: &Doctor, as_json: bool) -> Result<()> {
         };
         return soak::run(&system, client, &options);
     }
-    let subject = Subject {
-        board: client.as_ref().map(|client| *client.address().socket.ip()),
-        interface: arguments.interface.clone(),
-    };
-    let mut report = examine(&system, &subject);
+    let report = report(arguments.address.as_deref(), arguments.interface.clone())?;
+    findings::tell(&report, arguments.report.as_deref(), as_json)
+}
+
+/// Looks at this computer, and at the board if there is one.
+pub(crate) fn report(address: Option<&str>, interface: Option<String>) -> Result<Report> {
+    let client = address.map(crate::open).transpose()?;
+    let board = client.as_ref().map(|client| *client.address().socket.ip());
+    let mut report = examine(&System::real(), &Subject { board, interface });
     if let Some(mut client) = client {
         report.findings.extend(board::examine(&mut client));
     }
-    findings::tell(&report, arguments.report.as_deref(), as_json)
+    Ok(report)
 }
 
 fn fix(system: &System<'_>, yes: bool) -> Result<()> {

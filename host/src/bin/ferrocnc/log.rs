@@ -8,9 +8,9 @@
 mod elf;
 
 use anyhow::{Context, Result, bail, ensure};
-use defmt_decoder::{DecodeError, Table};
+use defmt_decoder::{DecodeError, Frame, Table};
 use ferrocnc::client::Client;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::io::Write;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -20,7 +20,7 @@ use wire::map;
 const RING_MOST: u32 = 4096;
 
 /// Where the texts are.
-#[derive(clap::Args)]
+#[derive(clap::Args, Default)]
 pub(crate) struct Texts {
     /// The firmware's ELF file, which holds the texts. If not given, it is found by the build id of
     /// the board.
@@ -48,9 +48,46 @@ impl Texts {
 }
 
 pub(crate) fn run(client: &mut Client, texts: &Texts, follow: bool, as_json: bool) -> Result<()> {
+    each(client, texts, follow, |said| {
+        match said {
+            Said::Note(note) => eprintln!("ferrocnc: {note}"),
+            Said::Line(frame) if as_json => writeln!(std::io::stdout(), "{}", to_json(frame))?,
+            Said::Line(frame) => writeln!(std::io::stdout(), "{}", frame.display(false))?,
+            Said::Looked => std::io::stdout().flush()?,
+        }
+        Ok(())
+    })
+}
+
+/// What comes of looking at a log.
+pub(crate) enum Said<'a> {
+    /// A line of it.
+    Line(&'a Frame<'a>),
+    /// What is to be known of it.
+    Note(String),
+    /// There is no more for now.
+    Looked,
+}
+
+pub(crate) fn to_json(frame: &Frame<'_>) -> Value {
+    json!({
+        "level": frame.level().map(|level| level.as_str()),
+        "timestamp": frame.display_timestamp().map(|t| t.to_string()),
+        "text": frame.display_message().to_string(),
+    })
+}
+
+/// Reads the log, and if it is to be followed reads on until an error, of the board or of what
+/// takes the lines.
+pub(crate) fn each(
+    client: &mut Client,
+    texts: &Texts,
+    follow: bool,
+    take: impl Fn(Said<'_>) -> Result<()>,
+) -> Result<()> {
     let elf::Chosen { file, bytes, note } = texts.choose(client)?;
     if let Some(note) = note {
-        eprintln!("ferrocnc: {note}");
+        take(Said::Note(note))?;
     }
     let table = Table::parse(&bytes)
         .with_context(|| format!("{} holds no usable log texts", file.display()))?;
@@ -65,31 +102,22 @@ pub(crate) fn run(client: &mut Client, texts: &Texts, follow: bool, as_json: boo
     loop {
         let (fresh, lost) = reader.fetch(client)?;
         if fresh.is_empty() && !follow {
-            eprintln!("ferrocnc: the board's log is empty");
+            take(Said::Note("the board's log is empty".to_owned()))?;
         }
         if lost > 0 && follow {
-            eprintln!("ferrocnc: {lost} bytes of log were overwritten before they could be read");
+            let lost = format!("{lost} bytes of log were overwritten before they could be read");
+            take(Said::Note(lost))?;
         }
         decoder.received(&fresh);
-        let mut out = std::io::stdout().lock();
         loop {
             match decoder.decode() {
-                Ok(frame) if as_json => writeln!(
-                    out,
-                    "{}",
-                    json!({
-                        "level": frame.level().map(|level| level.as_str()),
-                        "timestamp": frame.display_timestamp().map(|t| t.to_string()),
-                        "text": frame.display_message().to_string(),
-                    })
-                )?,
-                Ok(frame) => writeln!(out, "{}", frame.display(false))?,
+                Ok(frame) => take(Said::Line(&frame))?,
                 Err(DecodeError::UnexpectedEof) => break,
                 // Half a frame where the ring was cut.
                 Err(DecodeError::Malformed) => {}
             }
         }
-        out.flush()?;
+        take(Said::Looked)?;
         if !follow {
             return Ok(());
         }

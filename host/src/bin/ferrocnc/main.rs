@@ -28,6 +28,7 @@ mod selftest;
 mod set;
 mod soak;
 mod text;
+mod ui;
 mod update;
 mod watch;
 mod words;
@@ -110,6 +111,9 @@ enum ToolCommand {
     /// What of this computer makes exchanges late or loses them: kernel, processors, network port,
     /// addresses. It only reads, and needs no root, but for --fix and --undo.
     Doctor(doctor::Doctor),
+    /// Pages in a browser: boards, a dashboard, a configurator for board files, the doctor. They
+    /// show what the commands answer, from a server on this computer alone.
+    Ui(ui::Ui),
     /// An Ethernet port of this computer, given to the board so that it lasts, and taken back.
     #[command(subcommand)]
     Net(net::NetCommand),
@@ -180,6 +184,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         ToolCommand::Set(arguments) => set::run(arguments, json),
         ToolCommand::Selftest(arguments) => selftest::run(arguments, json),
         ToolCommand::Doctor(arguments) => doctor::run(arguments, json),
+        ToolCommand::Ui(arguments) => ui::run(arguments, json),
         ToolCommand::Net(command) => net::run(command, json),
         ToolCommand::Panel(arguments) => panel::run(arguments, json),
         ToolCommand::Update(arguments) => update::run(arguments, json),

@@ -14,7 +14,7 @@ use wire::board::Kind;
 use wire::exchange::{Status, status_words};
 use wire::flash::LinkWord;
 use wire::units::Clocks;
-use wire::{Refusal, map};
+use wire::{FaultReason, Refusal, map};
 
 /// Clears the screen and moves the cursor home (VT100).
 const HOME: &str = "\x1b[2J\x1b[H";
@@ -22,25 +22,46 @@ const HOME: &str = "\x1b[2J\x1b[H";
 const PLAIN_COUNTERS: usize = 3;
 
 pub(crate) fn run(client: &mut Client, once: bool, interval: u64, as_json: bool) -> Result<()> {
-    let identity = client.identify()?;
-    loop {
-        let look = Look::take(client, &identity)?;
+    let show = |look: &Look, identity: &Identity| -> Result<()> {
         let mut out = std::io::stdout().lock();
         if as_json {
-            writeln!(out, "{}", look.to_json(&identity))?;
+            writeln!(out, "{}", look.to_json(identity))?;
         } else {
             let home = if once { "" } else { HOME };
-            write!(out, "{home}{}", look.to_text(&identity))?;
+            write!(out, "{home}{}", look.to_text(identity))?;
         }
-        out.flush()?;
-        if once {
-            return Ok(());
+        Ok(out.flush()?)
+    };
+    if once {
+        let identity = client.identify()?;
+        return show(&Look::take(client, &identity)?, &identity);
+    }
+    each(client, Duration::from_millis(interval), show)
+}
+
+/// Looks again and again; ends with the first error, of the board or of what takes the look.
+pub(crate) fn each(
+    client: &mut Client,
+    interval: Duration,
+    take: impl Fn(&Look, &Identity) -> Result<()>,
+) -> Result<()> {
+    let mut identity = client.identify()?;
+    let mut boot = None;
+    loop {
+        let look = Look::take(client, &identity)?;
+        // It may have other settings since it has restarted.
+        let now = look.status.boot_id;
+        if boot.replace(now).is_some_and(|before| before != now) {
+            identity = client.identify()?;
+            continue;
         }
-        std::thread::sleep(Duration::from_millis(interval));
+        take(&look, &identity)?;
+        std::thread::sleep(interval);
     }
 }
 
-struct Look {
+/// The status window at one instant.
+pub(crate) struct Look {
     clock_hz: f64,
     status: Status,
     counters: Vec<u32>,
@@ -86,7 +107,7 @@ impl Look {
             .map(|(reason, count)| (reason.key(), *count))
     }
 
-    fn to_json(&self, identity: &Identity) -> Value {
+    pub(crate) fn to_json(&self, identity: &Identity) -> Value {
         let channels = identity.describe.channels;
         let clock = self.clock_hz;
         let status = &self.status;
@@ -124,6 +145,7 @@ impl Look {
         json!({
             "state": status.state.state.text(),
             "fault_reason": status.state.reason.text(),
+            "fault_remedy": remedy(status.state.reason),
             "enabled": status.state.enabled,
             "position_trusted": status.state.position_trusted,
             "bitten": status.state.bitten,
@@ -168,7 +190,7 @@ impl Look {
             word.state,
             said(word.enabled, ", outputs live"),
             match word.reason {
-                wire::FaultReason::None => String::new(),
+                FaultReason::None => String::new(),
                 reason => format!(", stopped last by: {reason}"),
             },
             said(word.bitten, ", watchdog bitten"),
@@ -260,6 +282,11 @@ impl Look {
             })
             .collect()
     }
+}
+
+/// What to do about a fault; nothing if there was none.
+fn remedy(reason: FaultReason) -> Option<&'static str> {
+    (reason != FaultReason::None).then(|| reason.remedy())
 }
 
 /// A channel's number and name.

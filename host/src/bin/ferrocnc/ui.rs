@@ -1,0 +1,107 @@
+//! `ferrocnc ui`: the tool's answers as pages in a browser, from a server on this computer.
+//!
+//! It decides nothing: each answer of the [`api`] is what a command prints with `--json`, and the
+//! pages show it. It takes no session and writes no file. It listens at 127.0.0.1 only, and answers
+//! only a page that it has sent itself ([`guard`]).
+
+mod answer;
+mod api;
+mod guard;
+mod live;
+mod web;
+
+use anyhow::{Context, Result, bail};
+use axum::Router;
+use axum::middleware::from_fn_with_state;
+use axum::routing::{get, post};
+use clap::Args;
+use guard::Guard;
+use serde_json::json;
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::process::{Command, Stdio};
+use tokio::net::TcpListener;
+
+/// Boards that are asked at once: every page keeps two streams open, and a browser six.
+const THREADS: usize = 32;
+
+#[derive(Args)]
+pub(crate) struct Ui {
+    /// IP[:port] of the board to begin with.
+    #[arg(value_name = "BOARD")]
+    board: Option<String>,
+    /// The port to listen at; a free one if not given.
+    #[arg(long, value_name = "PORT", default_value_t = 0)]
+    port: u16,
+    /// Print the address only, and open no browser.
+    #[arg(long)]
+    no_open: bool,
+}
+
+pub(crate) fn run(arguments: &Ui, as_json: bool) -> Result<()> {
+    let board = arguments.board.as_deref();
+    if let Some(board) = board {
+        crate::parse(board, wire::DEFAULT_PORT)?;
+    }
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_io()
+        .enable_time()
+        .max_blocking_threads(THREADS)
+        .build()
+        .context("no thread for the server")?;
+    runtime.block_on(serve(arguments, board, as_json))
+}
+
+async fn serve(arguments: &Ui, board: Option<&str>, as_json: bool) -> Result<()> {
+    let wanted = SocketAddrV4::new(Ipv4Addr::LOCALHOST, arguments.port);
+    let listener = TcpListener::bind(wanted).await.with_context(|| {
+        format!("cannot listen at {wanted}; leave out --port to take a free one")
+    })?;
+    let guard = Guard::new(listener.local_addr()?.port())?;
+    let address = guard.address(board);
+    if as_json {
+        println!("{}", json!({ "address": address }));
+    } else {
+        println!("{address}\nCtrl-C ends it.");
+    }
+    if !arguments.no_open && open(&address).is_err() {
+        eprintln!("ferrocnc: no browser opens (xdg-open is missing): open the address yourself");
+    }
+    let pages = pages(guard);
+    axum::serve(listener, pages).await?;
+    bail!("the server has ended")
+}
+
+/// What there is, behind the guard.
+fn pages(guard: Guard) -> Router {
+    let answers = Router::new()
+        .route("/discover", get(api::discover))
+        .route("/describe", get(api::describe))
+        .route("/doctor", get(api::doctor))
+        .route("/watch", get(live::watch))
+        .route("/log", get(live::log))
+        .route("/platforms", get(api::platforms))
+        .route("/config/new", post(api::config_new))
+        .route("/config/check", post(api::config_check))
+        .route("/config/pinout", post(api::config_pinout))
+        .route("/config/svg", post(api::config_svg))
+        .route("/config/import", post(api::config_import))
+        .fallback(web::missing);
+    let base = guard.token();
+    Router::new()
+        .nest(&format!("/{base}/api"), answers)
+        .route(&format!("/{base}/"), get(web::index))
+        .route(&format!("/{base}/{{*file}}"), get(web::file))
+        .fallback(web::missing)
+        .layer(from_fn_with_state(guard, guard::admit))
+}
+
+/// Opens the browser of the desktop.
+fn open(address: &str) -> std::io::Result<()> {
+    let mut command = Command::new("xdg-open");
+    command.arg(address);
+    command.stdin(Stdio::null()).stdout(Stdio::null());
+    let mut child = command.stderr(Stdio::null()).spawn()?;
+    // It ends when the browser has the address, or with the browser.
+    std::thread::spawn(move || child.wait());
+    Ok(())
+}

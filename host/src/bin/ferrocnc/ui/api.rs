@@ -1,0 +1,130 @@
+//! The answers: one for each command, with what it prints with `--json`.
+
+use super::answer::{Answer, Refusal, answered};
+use crate::config::{self, New};
+use crate::describe::Description;
+use crate::{discover, doctor};
+use axum::Json;
+use axum::extract::Query;
+use axum::http::header::CONTENT_TYPE;
+use axum::response::IntoResponse;
+use ferrocnc::discovery::WAIT;
+use serde::Deserialize;
+use serde_json::json;
+use std::path::Path;
+use std::time::Duration;
+
+/// A minute: longer looks are a mistake, and would keep a thread.
+const LONGEST_WAIT_MS: u64 = 60_000;
+
+/// Where `discover` looks.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Wherever {
+    interface: Option<String>,
+    at: Option<String>,
+    wait: Option<u64>,
+}
+
+/// `ferrocnc discover`.
+pub(super) async fn discover(Query(wherever): Query<Wherever>) -> Answer {
+    let wait = wherever.wait.map_or(WAIT, |millis| {
+        Duration::from_millis(millis.min(LONGEST_WAIT_MS))
+    });
+    let place = discover::Where::named(wherever.interface, wherever.at);
+    let found = answered(move || discover::find(&place, wait)).await?;
+    Ok(Json(discover::all_to_json(&found)))
+}
+
+/// A board by its address.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct At {
+    pub(super) board: String,
+}
+
+/// `ferrocnc describe`.
+pub(super) async fn describe(Query(at): Query<At>) -> Answer {
+    let described = answered(move || Description::read(&mut crate::open(&at.board)?)).await?;
+    Ok(Json(described.to_json()))
+}
+
+/// What `doctor` looks at.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Patient {
+    board: Option<String>,
+    interface: Option<String>,
+}
+
+/// `ferrocnc doctor`.
+pub(super) async fn doctor(Query(patient): Query<Patient>) -> Answer {
+    let report =
+        answered(move || doctor::report(patient.board.as_deref(), patient.interface)).await?;
+    Ok(Json(report.to_json()))
+}
+
+/// What `config new --platform` takes.
+pub(super) async fn platforms() -> Answer {
+    Ok(Json(answered(config::platforms).await?))
+}
+
+/// `ferrocnc config new`.
+pub(super) async fn config_new(Json(new): Json<New>) -> Answer {
+    let (name, toml) = answered(move || {
+        let file = config::target(&new.name, None, true)?;
+        Ok((config::stem(&file), new.toml(&file)?))
+    })
+    .await?;
+    Ok(Json(json!({ "name": name, "toml": toml })))
+}
+
+/// A board file that is only on the page.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Text {
+    name: String,
+    toml: String,
+}
+
+/// `ferrocnc config check`.
+pub(super) async fn config_check(Json(text): Json<Text>) -> Answer {
+    let verdict = answered(move || Ok(config::check_text(&text.name, &text.toml))).await?;
+    Ok(Json(verdict))
+}
+
+/// `ferrocnc config pinout`.
+pub(super) async fn config_pinout(Json(text): Json<Text>) -> Answer {
+    let drawing = answered(move || config::pinout_of(&text.name, &text.toml)).await?;
+    Ok(Json(config::pinout_to_json(&drawing)))
+}
+
+/// `ferrocnc config pinout -o NAME.svg`.
+pub(super) async fn config_svg(Json(text): Json<Text>) -> Result<impl IntoResponse, Refusal> {
+    let drawing = answered(move || config::pinout_of(&text.name, &text.toml)).await?;
+    let svg = ferrocnc_config::pinout::svg(&drawing);
+    Ok(([(CONTENT_TYPE, "image/svg+xml")], svg))
+}
+
+/// A file of another project.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Foreign {
+    from: config::From,
+    file: String,
+    text: String,
+}
+
+/// `ferrocnc config import`.
+pub(super) async fn config_import(Json(foreign): Json<Foreign>) -> Answer {
+    let (name, imported) = answered(move || {
+        let Foreign { from, file, text } = foreign;
+        let name = config::stem(Path::new(&file));
+        let imported = config::imported(from, &file, &text, &name, Path::new(""))?;
+        Ok((name, imported))
+    })
+    .await?;
+    Ok(Json(
+        json!({ "name": name, "toml": imported.toml, "notes": imported.notes }),
+    ))
+}

@@ -1,0 +1,206 @@
+// Configurator: a board file as text and as the card, beside each other. Nothing is written on this
+// computer: the file is what was dropped or made here, and leaves as a download. `ferrocnc config`
+// judges, draws and imports.
+
+import { html, useEffect, useRef, useState } from "./vendor/preact-htm.js";
+import { ask, tell, text } from "./answers.js";
+import { Card, spoken } from "./card.js";
+import { Field, Problem, useAnswer } from "./parts.js";
+
+/** After the last key, before the text is checked. */
+const STILL_MS = 200;
+const COUNTS = ["stepgens", "encoders", "pwms", "inputs", "outputs"];
+/** The card that the README names first. */
+const USUAL = "5a-75b-8.0";
+/** What a file's ending says about its origin. */
+const ORIGINS = { ini: "lcnc", json: "litexcnc" };
+
+/** Survives a look at another page. */
+let kept = { name: "", toml: "", notes: [], saved: true };
+
+addEventListener("beforeunload", (event) => kept.saved || event.preventDefault());
+
+export function Configurator() {
+  const [file, setFile] = useState(kept);
+  const [error, setError] = useState();
+  const [over, setOver] = useState(false);
+  const put = (change) => {
+    kept = { ...kept, ...change };
+    setFile(kept);
+  };
+  const take = async (making) => {
+    try {
+      put({ notes: [], saved: false, ...(await making()) });
+      setError(undefined);
+    } catch (error) {
+      setError(error.message);
+    }
+  };
+  const drop = (event) => {
+    event.preventDefault();
+    setOver(false);
+    const [dropped] = event.dataTransfer.files;
+    if (dropped) take(() => opened(dropped));
+  };
+  const hover = (event) => {
+    event.preventDefault();
+    setOver(true);
+  };
+  return html`<div class=${over ? "over" : ""} onDragOver=${hover} onDragLeave=${() => setOver(false)}
+    onDrop=${drop}>
+    <details open=${!file.toml}>
+      <summary>New, open, import</summary>
+      <${New} take=${take} />
+      <h2>Open or import</h2>
+      <p>A board file (.toml), Lcnc's conf.ini, or LiteX-CNC's JSON: choose it, or drop it anywhere
+        on this page.</p>
+      <label class="field"><span>File</span><input type="file" accept=".toml,.ini,.json"
+        onChange=${(event) => event.target.files[0] && take(() => opened(event.target.files[0]))} />
+      </label>
+    </details>
+    <${Problem} error=${error} />
+    ${file.notes.length > 0 && html`<section role="status" aria-label="Notes of the import">
+      <ul>${file.notes.map((note) => html`<li>${note}</li>`)}</ul></section>`}
+    ${file.toml && html`<${Editor} file=${file} put=${put} />`}
+  </div>`;
+}
+
+/** Reads a file: a board file as it is, others by `ferrocnc config import`. */
+async function opened(file) {
+  const ending = file.name.split(".").pop().toLowerCase();
+  const content = await file.text();
+  if (ORIGINS[ending]) {
+    return tell("config/import", { from: ORIGINS[ending], file: file.name, text: content });
+  }
+  if (ending !== "toml") {
+    throw new Error(`${file.name}: a board file ends in .toml, Lcnc's in .ini, LiteX-CNC's in .json`);
+  }
+  return { name: file.name.slice(0, -".toml".length), toml: content, saved: true };
+}
+
+function New({ take }) {
+  const { value, error } = useAnswer(() => ask("platforms"), 0);
+  const make = (event) => {
+    event.preventDefault();
+    const form = new FormData(event.target);
+    const wanted = Object.fromEntries(COUNTS.map((name) => [name, Number(form.get(name))]));
+    const modified = form.get("modified").split(",").map((it) => it.trim()).filter(Boolean);
+    const [name, platform] = [form.get("name"), form.get("platform")];
+    take(() => tell("config/new", { ...wanted, name, platform, modified }));
+  };
+  const begins = { stepgens: 3, encoders: 0, pwms: 1, inputs: 0, outputs: 4 };
+  return html`<h2>New</h2>
+    <${Problem} error=${error} />
+    <form class="row" onSubmit=${make}>
+      <${Field} label="Name" name="name" defaultValue="my-machine" required />
+      <label class="field"><span>Card</span><select name="platform">
+        ${(value ?? []).map((it) => html`<option value=${it.name} selected=${it.name === USUAL}>${it.title}</option>`)}
+      </select></label>
+      ${COUNTS.map((name) => html`<${Field} label=${name} name=${name} type="number" min="0" max="64"
+        defaultValue=${begins[name]} required />`)}
+      <${Field} label="Headers with bus switches" name="modified" placeholder="j5,j6"
+        hint="encoders and inputs go there" />
+      <button>Make it</button>
+    </form>`;
+}
+
+function Editor({ file, put }) {
+  const { name, toml } = file;
+  const [verdict, setVerdict] = useState();
+  const [drawing, setDrawing] = useState();
+  const [pin, setPin] = useState();
+  const [error, setError] = useState();
+  const area = useRef();
+  useEffect(() => {
+    let wanted = true;
+    const check = async () => {
+      try {
+        const verdict = await tell("config/check", { name, toml });
+        const drawing = verdict.ok && (await tell("config/pinout", { name, toml }));
+        if (!wanted) return;
+        setVerdict(verdict);
+        if (drawing) setDrawing(drawing);
+        setError(undefined);
+      } catch (error) {
+        if (wanted) setError(error.message);
+      }
+    };
+    const still = setTimeout(check, STILL_MS);
+    return () => {
+      wanted = false;
+      clearTimeout(still);
+    };
+  }, [name, toml]);
+  const choose = (pin) => {
+    setPin(pin);
+    const at = toml.indexOf(`"${pin.same_as ?? pin.pin}"`);
+    if (at >= 0) show(area.current, at, (pin.same_as ?? pin.pin).length + 2);
+  };
+  const leave = async (ending, kind, making) => {
+    try {
+      download(`${name}.${ending}`, await making(), kind);
+      if (ending === "toml") put({ saved: true });
+    } catch (error) {
+      setError(error.message);
+    }
+  };
+  return html`<div class="editor">
+    <section aria-label="The card">
+      ${drawing && html`<h2>${drawing.title}</h2><p>${drawing.facts}</p>
+        <${Card} drawing=${drawing} old=${verdict && !verdict.ok} chosen=${pin} choose=${choose} />`}
+    </section>
+    <section aria-label="The board file">
+      <div class="row">
+        <${Field} label="Name" value=${name} onInput=${(event) => put({ name: event.target.value })} />
+        <button onClick=${() => leave("toml", "application/toml", async () => toml)}>Download TOML</button>
+        <button disabled=${!verdict?.ok}
+          onClick=${() => leave("svg", "image/svg+xml", () => text("config/svg", { name, toml }))}>
+          Download SVG</button>
+      </div>
+      <${Problem} error=${error} />
+      <${Verdict} verdict=${verdict} goto=${(line) => show(area.current, ...lineOf(toml, line))} />
+      <p role="status" class="chosen">${pin ? spoken(pin) : "Point at a pin to find its line."}</p>
+      <label class="text"><span>TOML</span><textarea ref=${area} spellcheck="false" wrap="off"
+        value=${toml} onInput=${(event) => put({ toml: event.target.value, saved: false })} /></label>
+    </section>
+  </div>`;
+}
+
+/** What `ferrocnc config check` says. */
+function Verdict({ verdict, goto }) {
+  if (!verdict) return null;
+  if (verdict.ok) {
+    const missing = verdict.missing_pins.length
+      ? ` For simulation only: ${verdict.missing_pins[0]} and others have no pins.` : "";
+    return html`<p class="verdict good" role="status"><strong>ok</strong>
+      <span>It can be built.${missing}</span></p>`;
+  }
+  return html`<div class="verdict faulted" role="alert"><strong>refused</strong>
+    <span>${verdict.key && html`<code>${verdict.key}</code> `}${verdict.value && html`<code>${verdict.value}</code> `}
+      ${verdict.problem}${verdict.remedy && html`. ${verdict.remedy}`}</span>
+    ${verdict.line && html`<button type="button" onClick=${() => goto(verdict.line)}>
+      Line ${verdict.line}</button>`}</div>`;
+}
+
+/** Selects a part of the text, and scrolls to it. */
+function show(area, at, length) {
+  area.focus();
+  area.setSelectionRange(at, at + length);
+  const before = area.value.slice(0, at).split("\n").length;
+  const height = area.scrollHeight / area.value.split("\n").length;
+  area.scrollTop = Math.max(0, (before - 5) * height);
+}
+
+/** Where a line begins, and its length. */
+function lineOf(toml, number) {
+  const lines = toml.split("\n");
+  const at = lines.slice(0, number - 1).reduce((sum, line) => sum + line.length + 1, 0);
+  return [at, (lines[number - 1] ?? "").length];
+}
+
+function download(name, content, kind) {
+  const url = URL.createObjectURL(new Blob([content], { type: kind }));
+  const link = Object.assign(document.createElement("a"), { href: url, download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(url), 10_000);
+}

@@ -1,0 +1,71 @@
+// Parts that several pages have.
+
+import { html, useEffect, useState } from "./vendor/preact-htm.js";
+
+/** The error of what was asked last. */
+export function Problem({ error }) {
+  return error && html`<p class="problem" role="alert">${error}</p>`;
+}
+
+/** A labelled input. */
+export function Field({ label, hint, ...rest }) {
+  return html`<label class="field"><span>${label}</span>
+    <input ...${rest} />${hint && html`<small>${hint}</small>`}</label>`;
+}
+
+/** Name and value, one below the other. */
+export function Facts({ facts }) {
+  const rows = facts.filter(([, value]) => value !== null && value !== undefined && value !== "");
+  return html`<dl class="facts">
+    ${rows.map(([name, value]) => html`<div><dt>${name}</dt><dd>${value}</dd></div>`)}
+  </dl>`;
+}
+
+/** A table with a caption. */
+export function Table({ caption, head, rows }) {
+  if (!rows.length) return null;
+  return html`<div class="scroll" tabindex="0" role="region" aria-label=${caption}><table>
+    <caption>${caption}</caption>
+    <thead><tr>${head.map((name) => html`<th scope="col">${name}</th>`)}</tr></thead>
+    <tbody>${rows.map((cells) => html`<tr>${cells.map((cell, n) =>
+      n ? html`<td>${cell}</td>` : html`<th scope="row">${cell}</th>`)}</tr>`)}</tbody>
+  </table></div>`;
+}
+
+/** The form that asks which board is meant; it leads to the page for it. */
+export function WhichBoard({ page, board, optional }) {
+  const [address, setAddress] = useState(board);
+  useEffect(() => setAddress(board), [board]);
+  const go = (event) => {
+    event.preventDefault();
+    location.hash = address.trim() ? `${page}/${address.trim()}` : page;
+  };
+  return html`<form class="row" onSubmit=${go}>
+    <${Field} label="Board" value=${address} placeholder="192.168.2.50" required=${!optional}
+      onInput=${(event) => setAddress(event.target.value)} />
+    <button>Show</button>
+  </form>`;
+}
+
+/** Asks once, and again whenever `key` changes; says what came of it. */
+export function useAnswer(asking, key) {
+  const [state, setState] = useState({ busy: true });
+  useEffect(() => {
+    let wanted = true;
+    setState((before) => ({ ...before, busy: true, error: undefined }));
+    asking().then(
+      (value) => wanted && setState({ value }),
+      (error) => wanted && setState({ error: error.message }),
+    );
+    return () => {
+      wanted = false;
+    };
+  }, [key]);
+  return state;
+}
+
+/** A number with thin groups of three. */
+export function number(value, digits = 0) {
+  if (value === null || value === undefined) return "-";
+  return value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits });
+}

@@ -1,0 +1,251 @@
+//! The pages of `ferrocnc ui` in a real browser against the twin. Pictures of them are left in
+//! `target/reports`. Whom the server answers is tested in `host/tests/ui.rs`.
+
+mod browser;
+
+use browser::{Browser, DOWN, ENTER, RIGHT, TAB};
+use ferrocnc_tests::driver::Driver;
+use ferrocnc_tests::{Simulator, control, program, root};
+use std::io::{BufRead as _, BufReader};
+use std::net::{SocketAddr, UdpSocket};
+use std::process::{Child, Command, Stdio};
+
+/// The server; it ends with the test.
+struct Server {
+    child: Child,
+    address: String,
+}
+
+impl Server {
+    /// In an empty folder, so that no checkout is needed.
+    fn start() -> Self {
+        let mut command = Command::new(program("ferrocnc"));
+        command
+            .args(["ui", "--no-open"])
+            .current_dir(std::env::temp_dir());
+        let mut child = command.stdout(Stdio::piped()).spawn().expect("the tool");
+        let mut line = String::new();
+        let output = child.stdout.take().expect("its output");
+        BufReader::new(output)
+            .read_line(&mut line)
+            .expect("the address");
+        let address = line.trim().to_owned();
+        Server { child, address }
+    }
+
+    fn page(&self, page: &str) -> String {
+        format!("{}#{page}", self.address)
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A free port of this computer for datagrams.
+fn free() -> SocketAddr {
+    let socket = UdpSocket::bind("127.0.0.1:0").and_then(|socket| socket.local_addr());
+    socket.expect("a free port")
+}
+
+/// A board whose time passes by itself; where it is discovered.
+fn board() -> (Simulator, SocketAddr) {
+    let at = free();
+    let discovery = at.to_string();
+    let board = Simulator::twin(&["--mode", "free", "--discovery", &discovery]);
+    (board, at)
+}
+
+/// Nothing has failed in the browser, and everything that can be used has a role and a name.
+#[track_caller]
+fn in_order(browser: &Browser) {
+    let complaints = browser.complaints();
+    assert!(complaints.is_empty(), "{complaints:#?}");
+    let controls = browser.all("a, input, select, textarea, summary, button:not(.pin)");
+    assert!(controls.len() > 4, "{}", controls.len());
+    for it in controls.into_iter().filter(|it| browser.is_shown(it)) {
+        let (role, label) = (browser.role(&it), browser.label(&it));
+        assert!(
+            !role.is_empty() && !label.is_empty(),
+            "{it:?}: {role} {label:?}"
+        );
+    }
+}
+
+#[test]
+fn boards_are_found_and_described() {
+    let (board, discovery) = board();
+    let (server, browser) = (Server::start(), Browser::start("boards"));
+    browser.open(&server.address);
+    browser.until("the first look is over", || {
+        let text = browser.text();
+        text.contains("answer") && !text.contains("Asking")
+    });
+    browser.fill("section input", &discovery.to_string());
+    browser.click(&browser.button("Look again"));
+    browser.says("1 board answers");
+    browser.says("mill6");
+    browser.open(&server.page(&format!("boards/{}", board.udp())));
+    browser.says("60 MHz");
+    browser.says("step=j1:0 dir=j1:1");
+    in_order(&browser);
+    browser.picture("boards");
+}
+
+#[test]
+fn a_fault_is_told_with_its_remedy_and_a_board_may_go_and_come_back() {
+    let (board, _) = board();
+    let (server, browser) = (Server::start(), Browser::start("dashboard"));
+    browser.open(&server.page(&format!("dashboard/{}", board.udp())));
+    browser.says("DISARMED");
+    // A host that falls silent.
+    drop(Driver::armed(board.udp()));
+    browser.says("FAULTED");
+    browser.says("check cable, switch and the computer's latency");
+    in_order(&browser);
+    browser.picture("dashboard");
+    control(board.control(), "ext-reset 1");
+    browser.until("the reset is told", || {
+        browser.text().contains("External reset\nactive")
+    });
+
+    control(board.control(), "fault pull");
+    browser.says("What it said last");
+    control(board.control(), "fault plug");
+    browser.until("it is back", || {
+        !browser.text().contains("What it said last")
+    });
+    browser.scheme("dark");
+    browser.picture("dashboard-dark");
+}
+
+#[test]
+fn a_board_file_is_made_drawn_edited_and_downloaded() {
+    let (server, browser) = (Server::start(), Browser::start("configurator"));
+    browser.open(&server.page("configurator"));
+    browser.until("the cards are listed", || !browser.all("option").is_empty());
+    browser.click(&browser.button("Make it"));
+    browser.says("It can be built.");
+    browser.until("the card is drawn", || browser.all(".pin").len() >= 128);
+    in_order(&browser);
+    browser.picture("configurator");
+
+    // Point at a pin: its line is shown.
+    let pin = browser.button("j1:0, pin 1");
+    browser.click(&pin);
+    let chosen = "const it = document.querySelector('textarea'); \
+                  return it.value.slice(it.selectionStart, it.selectionEnd)";
+    assert_eq!(browser.js(chosen, &[]), "\"j1:0\"");
+
+    // A pin that is used twice, and taken back.
+    let good = browser.value_of("textarea");
+    let wrong = good.replacen("\"j1:1\"", "\"j1:0\"", 1);
+    browser.fill("textarea", &wrong);
+    browser.says("REFUSED");
+    browser.click(&browser.button("Line "));
+    let line = browser.js(chosen, &[]);
+    assert!(
+        line.as_str().is_some_and(|line| line.contains("j1:0")),
+        "{line}"
+    );
+    browser.picture("configurator-refused");
+    let commented = format!("# mine\n{good}");
+    browser.fill("textarea", &commented);
+    browser.says("It can be built.");
+
+    browser.click(&browser.button("Download TOML"));
+    assert_eq!(browser.downloaded("my-machine.toml"), commented);
+    browser.click(&browser.button("Download SVG"));
+    let svg = browser.downloaded("my-machine.svg");
+    assert!(svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>"));
+}
+
+#[test]
+fn files_of_lcnc_and_litexcnc_are_imported_where_they_are_dropped() {
+    let (server, browser) = (Server::start(), Browser::start("import"));
+    browser.open(&server.page("configurator"));
+    browser.says("Open or import");
+    // One by the chooser, which the keyboard reaches, one dropped.
+    let lcnc = root().join("config/tests/samples/router.ini");
+    let chooser = browser.find("input[type=file]");
+    browser.write(&chooser, &lcnc.display().to_string());
+    browser.says("It can be built.");
+    assert!(browser.value_of("textarea").contains("name = \"router\""));
+    let theirs = root().join("host/examples/peers/litexcnc.json");
+    let theirs = std::fs::read_to_string(theirs).expect("a file");
+    browser.drop_file("litexcnc.json", &theirs);
+    browser.until("it is in the place of the other", || {
+        browser.value_of("textarea").contains("name = \"litexcnc\"")
+    });
+    browser.says("It can be built.");
+    browser.drop_file("conf.ini", "[nonsense]\nx = 1\n");
+    browser.until("it is refused", || !browser.all("p.problem").is_empty());
+    browser.drop_file("drawing.svg", "<svg/>");
+    browser.says("drawing.svg: a board file ends in .toml");
+}
+
+#[test]
+fn the_doctor_lists_what_it_found() {
+    let (board, _) = board();
+    let (server, browser) = (Server::start(), Browser::start("doctor"));
+    browser.open(&server.page(&format!("doctor/{}", board.udp())));
+    browser.says("board and tool");
+    browser.until("findings", || browser.all(".findings li").len() > 10);
+    in_order(&browser);
+    browser.picture("doctor");
+}
+
+#[test]
+fn the_keyboard_alone_is_enough() {
+    let (server, browser) = (Server::start(), Browser::start("keyboard"));
+    browser.open(&server.page("doctor"));
+    browser.says("This computer");
+    browser.press(TAB);
+    assert_eq!(browser.focused(), "To the content");
+    browser.press(&TAB.repeat(4));
+    browser.until("the link has the focus", || {
+        browser.focused() == "Configurator" || {
+            browser.press(TAB);
+            false
+        }
+    });
+    browser.press(ENTER);
+    browser.until("the cards are listed", || !browser.all("option").is_empty());
+    // Enter in the name's field makes the file.
+    browser.until("the name has the focus", || {
+        browser.focused() == "Name" || {
+            browser.press(TAB);
+            false
+        }
+    });
+    browser.press(ENTER);
+    browser.says("It can be built.");
+    browser.until("a pin has the focus", || {
+        browser.focused().starts_with("j1:0, ") || {
+            browser.press(TAB);
+            false
+        }
+    });
+    browser.press(RIGHT);
+    assert!(
+        browser.focused().starts_with("j1:1, "),
+        "{}",
+        browser.focused()
+    );
+    browser.press(DOWN);
+    assert!(
+        browser.focused().starts_with("j1:3, "),
+        "{}",
+        browser.focused()
+    );
+    // The next header is one Tab away, not thirteen.
+    browser.press(TAB);
+    assert!(
+        browser.focused().starts_with("j2:0, "),
+        "{}",
+        browser.focused()
+    );
+}
