@@ -58,7 +58,8 @@ enum Level {
     /// board's own IP stack. That the Verilated board renews its lease only if it is named.
     Clients,
     /// Real LinuxCNC, our driver, the twin: homing, probing, threading, four boards, other drivers'
-    /// HAL files; cables pulled, boards restarted, processes killed, frames lost.
+    /// HAL files, every machine that `ferrocnc machine` makes; cables pulled, boards restarted,
+    /// processes killed, frames lost.
     Twin,
     /// Real LinuxCNC, our driver, the simulated board.
     Linuxcnc,
@@ -394,6 +395,7 @@ impl Level {
                     false => board_tests("network", "2 min", "3")?,
                 }),
             Level::Twin => Ok(board_tests("twin", "3 min", "1")?
+                + board_tests("machines", "2 min", "1")?
                 + board_tests("guide", "2 min", "1")?
                 + board_tests("trouble", "7 min", "1")?),
             Level::Linuxcnc => board_tests("linuxcnc", "10 min", "1"),
