@@ -13,9 +13,11 @@ pub mod ini;
 mod keys;
 pub mod model;
 pub mod plan;
+pub mod plant;
 pub mod read;
 pub mod template;
 pub mod units;
+pub mod wiring;
 
 pub use check::{Findings, check};
 pub use model::CncMachine;

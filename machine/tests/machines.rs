@@ -26,7 +26,9 @@ fn every_sample_gets_its_files_and_a_second_time_nothing_changes() {
             "custom.hal".to_owned(),
             "custom_postgui.hal".to_owned(),
             "ferrocnc.hal".to_owned(),
+            format!("{name}-wiring.md"),
             format!("{name}.ini"),
+            format!("{name}.svg"),
             format!("{name}.toml"),
             "tool.tbl".to_owned(),
         ];

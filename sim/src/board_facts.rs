@@ -1,7 +1,8 @@
 //! The description of a board without its gateware: the information blob and the clock.
 //!
-//! The crate `config` reads the board files. The twin carries three of `boards/`; for any other
-//! board this module reads what elaboration wrote into `target/sim/NAME`.
+//! The crate `config` reads the board files. The twin carries some of `boards/` and reads any other
+//! that is named with its path; for boards that have no file this module reads what elaboration
+//! wrote into `target/sim/NAME`.
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -46,8 +47,12 @@ const BUILT_IN: [(&str, &str); 5] = [
 
 impl BoardFacts {
     /// The board of this name: one of the board files carried here, or what elaboration left in
-    /// `target/sim/NAME`.
+    /// `target/sim/NAME`. A name that ends with `.toml` is a board file.
     pub fn named(name: &str) -> Result<Self, Error> {
+        if name.ends_with(".toml") {
+            let board = ferrocnc_config::read_board(Path::new(name));
+            return Self::of_board(name, board);
+        }
         // Tests start thousands of boards.
         static PARSED: [OnceLock<BoardFacts>; BUILT_IN.len()] =
             [const { OnceLock::new() }; BUILT_IN.len()];
@@ -60,7 +65,7 @@ impl BoardFacts {
             return Err(Error::Board {
                 name: name.into(),
                 why: format!(
-                    "there is no {}, and it is not one of {:?}; elaborate it (`python -m ferrocnc elaborate` in gateware/) or give --channels and --clock",
+                    "there is no {}, and it is not one of {:?}; name a board file with its path (mill.toml), or give --channels and --clock",
                     folder.join("board.bin").display(),
                     BUILT_IN.map(|(known, _)| known)
                 ),
@@ -73,14 +78,22 @@ impl BoardFacts {
         Ok(parsed.get_or_init(|| read).clone())
     }
 
-    /// The board that a board file describes.
+    /// The board that a board file of `boards/` describes.
     fn from_file(name: &str, text: &str) -> Result<Self, Error> {
+        let file = format!("boards/{name}.toml");
+        let board = ferrocnc_config::Board::read(&file, name, text, &Folder::default());
+        Self::of_board(name, board)
+    }
+
+    /// The board that a board file describes, if it could be read.
+    fn of_board(
+        name: &str,
+        board: Result<ferrocnc_config::Board, ferrocnc_config::Error>,
+    ) -> Result<Self, Error> {
         let refused = |error: ferrocnc_config::Error| Error::Board {
             name: name.into(),
             why: error.to_string(),
         };
-        let file = format!("boards/{name}.toml");
-        let board = ferrocnc_config::Board::read(&file, name, text, &Folder::default());
         let board = board.map_err(refused)?;
         let blob = ferrocnc_config::blob::blob(&board).map_err(refused)?;
         Ok(BoardFacts {

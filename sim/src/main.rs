@@ -94,9 +94,9 @@ struct Arguments {
     /// Firmware ELF.
     #[arg(long, value_name = "ELF", required_if_eq("backend", "rtl"))]
     firmware: Option<PathBuf>,
-    /// Model: which board, by the name of its file under boards/ (mill6, max, plotter, or any that
-    /// has been elaborated).
-    #[arg(long, value_name = "NAME", default_value = "mill6")]
+    /// Model: which board: a board file (mill.toml), or the name of one that is carried here
+    /// (mill6, max, plotter) or has been elaborated.
+    #[arg(long, value_name = "NAME|FILE.toml", default_value = "mill6")]
     board: String,
     /// Model: a board of so many stepgens,encoders,PWMs,inputs,outputs instead of a named one.
     #[arg(long, value_name = "N,N,N,N,N", value_parser = parse_channels)]

@@ -635,16 +635,19 @@ impl Plant {
             gpio |=
                 u64::from((self.pins.gpio >> wire.output & 1 != 0) != wire.inverted) << wire.input;
         }
+        // Several switches at one input are a chain: each of them presses it.
+        let (mut pressed, mut inverted) = (0, 0);
         for switch in &self.switches {
             let at = self.steps[switch.stepgen];
-            let pressed = if switch.above {
+            let is_pressed = if switch.above {
                 at >= switch.at
             } else {
                 at <= switch.at
             };
-            gpio |= u64::from(pressed != switch.inverted) << switch.input;
+            pressed |= u64::from(is_pressed) << switch.input;
+            inverted |= u64::from(switch.inverted) << switch.input;
         }
-        self.levels.gpio = gpio;
+        self.levels.gpio = gpio | (pressed ^ inverted);
     }
 }
 

@@ -60,7 +60,8 @@ enum Level {
     /// The pages of `ferrocnc ui` in Debian's Chromium, without a screen, against the twin.
     Ui,
     /// Real LinuxCNC, our driver, the twin: homing, probing, threading, four boards, other drivers'
-    /// HAL files; cables pulled, boards restarted, processes killed, frames lost.
+    /// HAL files, every machine that `ferrocnc machine` makes; cables pulled, boards restarted,
+    /// processes killed, frames lost.
     Twin,
     /// Real LinuxCNC, our driver, the simulated board.
     Linuxcnc,
@@ -399,6 +400,7 @@ impl Level {
                 }),
             Level::Ui => board_tests("ui", "1 min", "2"),
             Level::Twin => Ok(board_tests("twin", "3 min", "1")?
+                + board_tests("machines", "2 min", "1")?
                 + board_tests("guide", "2 min", "1")?
                 + board_tests("trouble", "7 min", "1")?),
             Level::Linuxcnc => board_tests("linuxcnc", "10 min", "1"),

@@ -267,3 +267,27 @@ fn a_plant_file_says_what_is_wrong_with_it() {
     assert!(refused("[[axis]]\nstepgen = 16\nencoder = 0").contains("axis.stepgen 16"));
     assert!(refused("[[axis]]\nstepgen = 0\nencoder = 0\nspeed = 1").contains("speed"));
 }
+
+#[test]
+fn each_of_two_switches_at_one_input_presses_it_closed_or_open() {
+    for inverted in [false, true] {
+        let mut plant = Plant::default();
+        for (at, above) in [(2, true), (-2, false)] {
+            plant.add_switch(Switch {
+                stepgen: 0,
+                at,
+                above,
+                input: 3,
+                inverted,
+            });
+        }
+        let mut pressed = |forward, backward| {
+            plant.steps(forward, backward);
+            plant.steps(forward, backward);
+            (plant.levels().gpio >> 3 & 1 != 0) != inverted
+        };
+        assert!(pressed(1, 0), "two steps up");
+        assert!(!pressed(0, 1), "back again");
+        assert!(pressed(0, 1), "two steps down");
+    }
+}

@@ -11,6 +11,7 @@ use ferrocnc_config::pinout::Pinout;
 use ferrocnc_config::source::{Folder, read_text};
 use ferrocnc_config::{Board, Error, read_board};
 use ferrocnc_machine::plan::{Change, Files, Plan, plan};
+use ferrocnc_machine::plant::plant;
 use ferrocnc_machine::{CncMachine, check, read};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -28,6 +29,16 @@ pub(crate) enum MachineCommand {
     /// Write board file, HAL file and INI file beside it: shows what changes, and asks. Your own
     /// lines stay.
     Write(MachineWrite),
+    /// What the simulated board needs to be this machine: switches that its axes run into, a
+    /// spindle that turns. It is the file of `ferrocnc-sim --plant`.
+    Plant {
+        /// The file.
+        #[arg(value_name = "MACHINE.toml", default_value = "machine.toml")]
+        file: PathBuf,
+        /// Write it here; printed if not given.
+        #[arg(long, short, value_name = "PLANT.toml")]
+        output: Option<PathBuf>,
+    },
 }
 
 #[derive(Args)]
@@ -51,6 +62,7 @@ pub(crate) fn run(command: &MachineCommand, as_json: bool) -> Result<()> {
         MachineCommand::New(new) => new::run(new),
         MachineCommand::Check { file } => self::check_file(file, as_json),
         MachineCommand::Write(arguments) => write(arguments, as_json),
+        MachineCommand::Plant { file, output } => write_plant(file, output.as_deref()),
     }
 }
 
@@ -87,6 +99,7 @@ impl Files for Beside {
 
 /// What a plan, or a check, has found.
 struct Told {
+    machine: Option<CncMachine>,
     plan: Option<Plan>,
     bad: Vec<Error>,
     notes: Vec<Error>,
@@ -102,6 +115,7 @@ fn look(file: &Path, discard: bool) -> Result<Told> {
         Ok(machine) => machine,
         Err(error) => {
             return Ok(Told {
+                machine: None,
                 plan: None,
                 bad: vec![error],
                 notes: Vec::new(),
@@ -115,7 +129,12 @@ fn look(file: &Path, discard: bool) -> Result<Told> {
         Ok(plan) => (Some(plan), Vec::new()),
         Err(bad) => (None, bad),
     };
-    Ok(Told { plan, bad, notes })
+    Ok(Told {
+        machine: Some(machine),
+        plan,
+        bad,
+        notes,
+    })
 }
 
 fn to_json(kind: &str, error: &Error) -> Value {
@@ -183,6 +202,23 @@ fn check_file(file: &Path, as_json: bool) -> Result<()> {
         ))?;
     }
     Ok(())
+}
+
+fn write_plant(file: &Path, output: Option<&Path>) -> Result<()> {
+    let told = look(file, false)?;
+    for error in &told.bad {
+        eprintln!("{error}");
+    }
+    let machine = told.machine.clone();
+    let plan = told.into_plan()?;
+    let machine = machine.context("the machine cannot be read")?;
+    let text = plant(&machine, &plan.board);
+    match output {
+        Some(path) => {
+            std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))
+        }
+        None => say(&text),
+    }
 }
 
 fn write(arguments: &MachineWrite, as_json: bool) -> Result<()> {
