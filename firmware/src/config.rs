@@ -299,6 +299,27 @@ mod tests {
     }
 
     #[test]
+    fn outputs_behind_the_first_32_have_settings_of_their_own() {
+        let at = |word: u32| map::CONFIG_BOARD + 4 * word;
+        let high = |outputs| [5, 6].map(|word| setting_at(at(word), Channels { outputs, ..SIX }));
+        assert_eq!(high(32), [None, None]);
+        let there = [BoardConfig::GpioSafeHigh, BoardConfig::GpioInvertHigh].map(Setting::Board);
+        assert_eq!(high(33), there.map(Some));
+        assert_eq!(setting_at(at(7), Channels { outputs: 64, ..SIX }), None);
+        for setting in there {
+            let with = |outputs, value| {
+                let channels = Channels { outputs, ..SIX };
+                check(setting, value, channels, CLOCK).is_ok()
+            };
+            assert!(with(33, 1) && !with(33, 2) && with(64, u32::MAX));
+        }
+        // All of the first word, as before.
+        let safe = Setting::Board(BoardConfig::GpioSafe);
+        let channels = Channels { outputs: 64, ..SIX };
+        assert!(check(safe, u32::MAX, channels, CLOCK).is_ok());
+    }
+
+    #[test]
     fn only_the_pwm_period_may_change_under_way() {
         let live: Vec<_> = (map::CONFIG..map::CONFIG + map::CONFIG_LEN)
             .step_by(4)

@@ -4,11 +4,12 @@ use super::{More, Piece, Reader};
 use crate::cores::Gate;
 use crate::text::Out;
 use ::jobs::Outside;
+use wire::channels::WORD_PINS;
 use wire::describe::{self, JobsState, address};
 use wire::exchange::{StateWord, status_word};
 use wire::flash::{OpWord, Running, Slot};
 use wire::map::{self, BoardConfig};
-use wire::regmap::{self, watchdog};
+use wire::regmap::{self, gpio_high, ident, watchdog};
 use wire::{GateClose, LongWay, ResetReason};
 
 /// The step of `status` that is not read from a window.
@@ -112,15 +113,20 @@ pub(super) fn status(
 }
 
 pub(super) fn gpio(reader: &mut Reader, from: &mut impl Outside, out: &mut Out) -> Piece {
-    let [inputs, estop, probe] = reader.words(
+    let [inputs, estop, probe, counts, high] = reader.words(
         [
             status_at(status_word::GPIO_IN),
             status_at(status_word::ESTOP),
             board_config(BoardConfig::Probe),
+            address(describe::CHANNELS_AT + 1),
+            regmap::address(gpio_high::BASE, gpio_high::IN_NOW),
         ],
         from,
     )?;
     out.text("inputs 0x").hex(inputs);
+    if counts & ident::CHANNELS1_INPUTS > WORD_PINS.into() {
+        out.text(", from 32 on 0x").hex(high);
+    }
     out.text(", e-stop latched 0x").hex(estop).end();
     out.text("probe ");
     if probe & map::PROBE_ENABLE == 0 {

@@ -428,8 +428,8 @@ fn the_largest_board_is_answered_in_pieces() {
         stepgens: 16,
         encoders: 16,
         pwms: 16,
-        inputs: 32,
-        outputs: 32,
+        inputs: 64,
+        outputs: 64,
     };
     for line in LOOKS {
         let mut rig = Rig::with_channels(sixteen);
@@ -437,6 +437,7 @@ fn the_largest_board_is_answered_in_pieces() {
         let text = Bench::of(rig).say(line);
         let counted = matches!(line, "stepgen" | "encoder" | "pwm");
         assert!(!counted || text.lines().count() == 16, "{text}");
+        assert!(line != "gpio" || text.contains(", from 32 on 0x"), "{text}");
     }
 }
 

@@ -7,6 +7,7 @@ use super::form::{Form, Piece, Place, Section, Sheet, Value};
 use super::request::Ask;
 use crate::text::{Out, Paper, Sink};
 use jobs::Outside;
+use wire::channels::WORD_PINS;
 use wire::describe::{
     BOOT_ID_AT, GATE_CLOSE_AT, JobsState, OBSTACLE_ABI, OBSTACLES_AT, RESET_REASON_AT, address,
 };
@@ -14,7 +15,7 @@ use wire::exchange::{STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord, sta
 use wire::flash::{LinkWord, Running};
 use wire::map::{self, CONFIG_STEPGEN, CONFIG_STRIDE, StepgenConfig};
 use wire::refusal::{COUNTERS_CALLS, COUNTERS_CUTS, COUNTERS_WAYS};
-use wire::regmap::{self, gpio};
+use wire::regmap::{self, gpio, gpio_high};
 use wire::{FaultReason, GateClose, LongWay, Refusal, ResetReason, State};
 
 /// Before the sections.
@@ -280,11 +281,11 @@ fn write(part: Part, n: usize, source: &PageSource, sheet: &mut Sheet, out: &mut
         Axes => axis(n, source, sheet, out),
         Encoders => encoder(n, source, sheet, out),
         Inputs => {
-            let on = bit(gpio::IN_NOW, n, out);
+            let on = bit([IN_NOW, IN_NOW_HIGH], n, out);
             pin(n, ("input ", source.facts.input(n)), on, sheet);
         }
         Outputs => {
-            let on = bit(gpio::OUT_NOW, n, out);
+            let on = bit([OUT_NOW, OUT_NOW_HIGH], n, out);
             pin(n, ("output ", source.facts.output(n)), on, sheet);
         }
         Board => board(n, source, sheet, out),
@@ -296,10 +297,19 @@ fn write(part: Part, n: usize, source: &PageSource, sheet: &mut Sheet, out: &mut
     }
 }
 
-/// A bit of a word of the inputs and outputs.
-fn bit(word: usize, n: usize, out: &mut impl Outside) -> Option<bool> {
-    let [word] = ask([regmap::address(gpio::BASE, word)], out)?;
-    Some(word >> n & 1 != 0)
+const IN_NOW: u32 = regmap::address(gpio::BASE, gpio::IN_NOW);
+const IN_NOW_HIGH: u32 = regmap::address(gpio_high::BASE, gpio_high::IN_NOW);
+const OUT_NOW: u32 = regmap::address(gpio::BASE, gpio::OUT_NOW);
+const OUT_NOW_HIGH: u32 = regmap::address(gpio_high::BASE, gpio_high::OUT_NOW);
+
+/// The level of a pin: of the first 32, or of those behind them.
+fn bit([low, high]: [u32; 2], n: usize, out: &mut impl Outside) -> Option<bool> {
+    let (address, bit) = match n.checked_sub(WORD_PINS.into()) {
+        None => (low, n),
+        Some(behind) => (high, behind),
+    };
+    let [word] = ask([address], out)?;
+    Some(word.checked_shr(bit as u32)? & 1 != 0)
 }
 
 /// A channel's own name, or its kind and number.

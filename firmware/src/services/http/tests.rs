@@ -7,6 +7,7 @@ use proptest::prelude::*;
 use serde_json::Value as Json;
 use wire::describe::{Channels, Describe, DescribeError, JobsState, WORDS};
 use wire::exchange::StateWord;
+use wire::regmap::{self, gpio, gpio_high};
 use wire::{FaultReason, GateClose, LongWay, MAX_WORDS, ResetReason, State, map};
 
 /// Why the last exchange took the long way.
@@ -148,8 +149,8 @@ const LARGEST: Channels = Channels {
     stepgens: 16,
     encoders: 16,
     pwms: 16,
-    inputs: 32,
-    outputs: 32,
+    inputs: 64,
+    outputs: 64,
 };
 
 fn mill() -> Fake {
@@ -545,6 +546,35 @@ fn a_full_last_piece_with_its_framing_fits_into_a_turn() {
     assert_eq!(written.len(), TURN_MAX);
 }
 
+#[test]
+fn every_pin_is_shown_at_its_own_level_those_behind_the_first_32_too() {
+    let mut memory = vec![0; BYTES];
+    let mut fake = board(LARGEST, &[]);
+    let status = json(&mut fake, Load::Rest, &mut memory);
+    // Each register of this board reads as its own address.
+    for (pins, registers) in [
+        (
+            "inputs",
+            [
+                regmap::address(gpio::BASE, gpio::IN_NOW),
+                regmap::address(gpio_high::BASE, gpio_high::IN_NOW),
+            ],
+        ),
+        (
+            "outputs",
+            [
+                regmap::address(gpio::BASE, gpio::OUT_NOW),
+                regmap::address(gpio_high::BASE, gpio_high::OUT_NOW),
+            ],
+        ),
+    ] {
+        for n in 0..64 {
+            let level = registers[n / 32] >> (n % 32) & 1 != 0;
+            assert_eq!(status[pins][n]["on"], level, "{pins} {n}");
+        }
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
@@ -558,7 +588,7 @@ proptest! {
         for load in [Load::Rest, Load::Moving] {
             let status = json(&mut fake, load, &mut memory);
             prop_assert_eq!(status["axes"].as_array().unwrap().len(), 16);
-            prop_assert_eq!(status["inputs"].as_array().unwrap().len(), 32);
+            prop_assert_eq!(status["inputs"].as_array().unwrap().len(), 64);
         }
         let facts = facts(&mut fake);
         let got = get("GET / HTTP/1.1\r\n\r\n", Load::Rest, &mut fake, &facts, &mut memory);
