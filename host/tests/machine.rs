@@ -77,7 +77,9 @@ fn nothing_is_written_before_the_answer_is_yes() {
         "custom_postgui.hal",
         "ferrocnc.hal",
         "machine.toml",
+        "mill-wiring.md",
         "mill.ini",
+        "mill.svg",
         "mill.toml",
         "tool.tbl",
     ];
@@ -96,7 +98,7 @@ fn it_is_written_though_nothing_reads_what_is_said() {
     drop(reader);
     let done = command.stdout(writer).status().expect("the tool starts");
     assert!(
-        done.success() && folder.names().len() == 7,
+        done.success() && folder.names().len() == 9,
         "{:?}",
         folder.names()
     );
@@ -163,7 +165,7 @@ fn json_does_not_ask_and_says_what_it_wrote() {
         (&told["written"], &told["ok"]),
         (&true.into(), &true.into())
     );
-    assert_eq!(told["files"].as_array().map(Vec::len), Some(6));
+    assert_eq!(told["files"].as_array().map(Vec::len), Some(8));
 }
 
 #[test]
