@@ -217,3 +217,75 @@ fn without_the_program_the_message_says_how_to_get_it() {
     let said = bench.complaint("absent", &["load", "mill6.bit"]);
     assert!(said.contains("sudo apt install openfpgaloader"), "{said}");
 }
+
+/// Images as the package has them: a folder per board file.
+fn install_images(bench: &Bench, images: &[(&str, &str)]) {
+    for (configuration, platform) in images {
+        let folder = bench.path("images").join(configuration);
+        std::fs::create_dir_all(&folder).unwrap();
+        let image = |build| {
+            let file = image::sample::file(configuration, platform, build, 3000);
+            Image::parse(&file).unwrap()
+        };
+        let flash = flash_file::sample::file(0x20_0000, &image(1), &image(2));
+        std::fs::write(folder.join(format!("{configuration}.flash")), flash).unwrap();
+    }
+}
+
+#[test]
+fn write_finds_the_image_of_a_card_in_the_package() {
+    let bench = Bench::new("card");
+    install_images(&bench, &[("mill6", "5a-75b-8.0"), ("lathe", "5a-75b-7.0")]);
+    let write = ["write", "--images", "images", "--card", "5a-75b-8.0"];
+    let said = bench.answer("fine-1.0", &write);
+    assert!(said.contains("mill6 on 5a-75b-8.0"), "{said}");
+    assert!(
+        bench
+            .calls()
+            .last()
+            .unwrap()
+            .ends_with("images/mill6/mill6.flash")
+    );
+}
+
+#[test]
+fn several_images_of_a_card_are_named_and_one_is_chosen() {
+    let bench = Bench::new("several");
+    install_images(&bench, &[("mill6", "5a-75b-8.0"), ("router", "5a-75b-8.0")]);
+    let write = ["write", "--images", "images", "--card", "5a-75b-8.0"];
+    let said = bench.complaint("fine-1.0", &write);
+    assert!(said.contains("--board: mill6, router"), "{said}");
+    let said = bench.answer("fine-1.0", &[&write[..], &["--board", "router"]].concat());
+    assert!(said.contains("router on 5a-75b-8.0"), "{said}");
+}
+
+#[test]
+fn a_card_without_an_image_is_told_which_there_are() {
+    let bench = Bench::new("none");
+    install_images(&bench, &[("mill6", "5a-75b-8.0")]);
+    let write = |images: &str, card: &str| {
+        bench.complaint("fine-1.0", &["write", "--images", images, "--card", card])
+    };
+    let said = write("images", "5a-75e-7.1");
+    assert!(said.contains("it has mill6 for 5a-75b-8.0"), "{said}");
+    let said = write("nowhere", "5a-75b-8.0");
+    assert!(
+        said.contains("install the package ferrocnc-images"),
+        "{said}"
+    );
+    assert_eq!(bench.calls(), Vec::<String>::new());
+}
+
+#[test]
+fn a_file_for_another_card_is_refused_before_the_fpga_is_asked() {
+    let bench = Bench::new("other-card");
+    let said = bench.complaint(
+        "fine-1.0",
+        &["write", "mill6.flash", "--card", "5a-75e-7.1"],
+    );
+    assert!(
+        said.contains("is for 5a-75b-8.0, not for 5a-75e-7.1"),
+        "{said}"
+    );
+    assert_eq!(bench.calls(), Vec::<String>::new());
+}

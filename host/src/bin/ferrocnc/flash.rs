@@ -1,5 +1,6 @@
 //! `ferrocnc flash load|write|verify`: runs openFPGALoader for a board at a JTAG cable.
 
+use crate::images;
 use crate::progress::Bar;
 use anyhow::{Context, Result, bail};
 use clap::Subcommand;
@@ -20,8 +21,11 @@ pub(crate) enum Flash {
     },
     /// Write the whole flash: the first one of a board's life. Settings on the board are lost.
     Write {
-        /// NAME.flash
-        file: PathBuf,
+        /// NAME.flash; that of the installed package if --card is given.
+        #[arg(required_unless_present = "card")]
+        file: Option<PathBuf>,
+        #[command(flatten)]
+        installed: FromPackage,
         #[command(flatten)]
         cable: Cable,
     },
@@ -32,6 +36,20 @@ pub(crate) enum Flash {
         #[command(flatten)]
         cable: Cable,
     },
+}
+
+/// An image of the package ferrocnc-images.
+#[derive(clap::Args)]
+pub(crate) struct FromPackage {
+    /// The card, as in 5a-75b-8.0 (ferrocnc card identify). An image for another one is refused.
+    #[arg(long, value_name = "CARD")]
+    card: Option<String>,
+    /// Which of the card's images: the name of its board file.
+    #[arg(long, value_name = "NAME", requires = "card")]
+    board: Option<String>,
+    /// Where installed images are.
+    #[arg(long, value_name = "DIR", default_value = images::INSTALLED)]
+    images: PathBuf,
 }
 
 #[derive(clap::Args)]
@@ -54,7 +72,11 @@ pub(crate) fn run(what: &Flash, as_json: bool) -> Result<()> {
     let mut bar = Bar::new(as_json);
     let done = match what {
         Flash::Load { file, cable } => load(file, &cable.loader(), &mut bar),
-        Flash::Write { file, cable } => write(file, &cable.loader(), &mut bar),
+        Flash::Write {
+            file,
+            installed,
+            cable,
+        } => write(file.as_deref(), installed, &cable.loader(), &mut bar),
         Flash::Verify { file, cable } => verify(file, &cable.loader(), &mut bar),
     };
     drop(bar);
@@ -100,8 +122,27 @@ fn load(file: &Path, loader: &Loader, bar: &mut Bar) -> Result<String> {
     ))
 }
 
-fn write(file: &Path, loader: &Loader, bar: &mut Bar) -> Result<String> {
+fn write(
+    file: Option<&Path>,
+    installed: &FromPackage,
+    loader: &Loader,
+    bar: &mut Bar,
+) -> Result<String> {
+    let (card, board) = (installed.card.as_deref(), installed.board.as_deref());
+    let file = match (file, card) {
+        (Some(file), _) => file.to_owned(),
+        (None, Some(card)) => images::of_card(&installed.images, card, board)?,
+        (None, None) => bail!("name a file, or the card with --card"),
+    };
+    let file = &*file;
     let flash = FlashFile::parse(read(file)?).with_context(|| file.display().to_string())?;
+    let platform = flash.image.platform.to_string();
+    if let Some(card) = card.filter(|card| **card != platform) {
+        bail!(
+            "{} is for {platform}, not for {card}; its pins would be others: take the image of this card",
+            file.display()
+        );
+    }
     loader.expect(flash.image.idcode)?;
     loader.write(file, &mut |progress| show(bar, &progress))?;
     Ok(format!(

@@ -4,6 +4,7 @@
 // `describe --json` is one object with many keys.
 #![recursion_limit = "256"]
 
+mod card;
 mod config;
 mod consent;
 mod console;
@@ -13,6 +14,7 @@ mod doctor;
 mod findings;
 mod flash;
 mod hal_file;
+mod images;
 mod install_module;
 mod job;
 mod key;
@@ -129,6 +131,9 @@ enum ToolCommand {
         #[command(subcommand)]
         what: flash::Flash,
     },
+    /// Which card is this? Of its print, and of what its FPGA says by JTAG.
+    #[command(subcommand)]
+    Card(card::CardCommand),
     /// A board's pre-shared key: only computers with the key can take, configure or flash the
     /// board.
     #[command(subcommand)]
@@ -189,6 +194,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         ToolCommand::Panel(arguments) => panel::run(arguments, json),
         ToolCommand::Update(arguments) => update::run(arguments, json),
         ToolCommand::InstallModule(arguments) => install_module::run(arguments, json),
+        ToolCommand::Card(command) => card::run(command, json),
         ToolCommand::Flash { what } => flash::run(what, json),
         ToolCommand::Key(command) => key::run(command, json),
         ToolCommand::Console { address, command } => {
