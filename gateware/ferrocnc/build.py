@@ -495,7 +495,7 @@ the placer fills (24 288), EBR its block RAMs (56), DSP its multipliers (28). Mi
 yosys, of nextpnr and of our router (decision 11) for all seeds up to that one, on one core of the
 computer that wrote this page, beside its other work.
 
-`max`, 16 step generators, 16 encoders, 16 PWM, 32 + 32 I/O, is the largest board that can be
+`max`, 16 step generators, 16 encoders, 16 PWM, 64 + 64 I/O, is the largest board that can be
 simulated. It has no pins on a card. It is packed ([size](size.md)) but does not route since the
 gateware answers the exchange itself: too many wires around the processor stay shared
 ([decision 30](decisions/0030-the-rom-in-two-parts.md)). The largest boards that route have 9 step
@@ -621,7 +621,7 @@ and those that lead in and out of a carry chain, four and two for each LUT RAM. 
 placer has to find room for, and the figure to compare.
 
 A core is measured alone; `wide_counter`, `edges` and `gpio` are there once for all channels (16,
-16, 32 + 32), each encoder has two `debounce` inside, each encoder and each step generator a `latch`
+16, 64 + 64), each encoder has two `debounce` inside, each encoder and each step generator a `latch`
 beside it. `segments` (3 axes) is on boards with jobs only. `max` has no pins on a 5A-75B: its
 inputs come from a shift register behind one pad and its outputs leave as a parity through another,
 so that nothing is optimised away (about 40 LUTs). It is packed here, and does not route
@@ -650,7 +650,7 @@ def size_tables(cores, boards):
     yield from (row(name, c) for name, c in cores.items())
     yield ""
     yield from head("board", columns)
-    for name, what in (("none", "no channel: CPU, MAC, memories, timebase, watchdog"), ("mill6", "mill6: 6 + 6 + 6, 12 + 12"), ("max", "max: 16 + 16 + 16, 32 + 32")):
+    for name, what in (("none", "no channel: CPU, MAC, memories, timebase, watchdog"), ("mill6", "mill6: 6 + 6 + 6, 12 + 12"), ("max", "max: 16 + 16 + 16, 64 + 64")):
         yield row(what, boards[name])
         yield row(f"{what.partition(':')[0]}, before", BEFORE[name])
     sets = rm.MAX_STEPGEN

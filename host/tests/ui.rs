@@ -1,5 +1,5 @@
-//! `ferrocnc ui` against a fake board: whom it answers, that its answers are the commands', and
-//! that wrong input gets a reason. `tests/tests/ui.rs` drives its pages in a browser.
+//! `ferrocnc ui` against a fake board: which requests it answers, that its answers are the
+//! commands', and that wrong input gets a reason. `tests/tests/ui` drives its pages in a browser.
 
 #[path = "common/fake_board.rs"]
 mod common;

@@ -1,5 +1,5 @@
 //! The pages of `ferrocnc ui` in a real browser against the twin. Pictures of them are left in
-//! `target/reports`. Whom the server answers is tested in `host/tests/ui.rs`.
+//! `target/reports`. Which requests the server answers is tested in `host/tests/ui.rs`.
 
 mod browser;
 

@@ -85,7 +85,7 @@ impl Guard {
         let token = path.trim_start_matches('/').split('/').next();
         if !token.is_some_and(|token| same(token, &self.0.token)) {
             return Some(
-                "the address has not the token of this run; use the one that `ferrocnc ui` prints",
+                "the address does not have the token of this run; use the one that `ferrocnc ui` prints",
             );
         }
         None
