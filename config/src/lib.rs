@@ -26,4 +26,4 @@ pub mod write;
 pub use board::{Board, Channel, Class};
 pub use error::{Error, Place, Report};
 pub use platform::{Level, Platform};
-pub use source::read_board;
+pub use source::{read_board, read_board_text};

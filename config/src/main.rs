@@ -1,7 +1,7 @@
 //! `ferrocnc-config`: the commands of the reader that the build needs. Users run `ferrocnc config`.
 
-use ferrocnc_config::source::{Folder, read_text};
-use ferrocnc_config::{Board, Error};
+use ferrocnc_config::source::read_text;
+use ferrocnc_config::{Board, read_board_text};
 use std::io::Write;
 use std::path::Path;
 use std::process::ExitCode;
@@ -48,14 +48,7 @@ fn read(path: &Path, network: &[&str]) -> Result<Board, Box<dyn std::error::Erro
             _ => return Err(USAGE.into()),
         };
     }
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    let read = Board::read(
-        &path.display().to_string(),
-        &stem,
-        &text,
-        &Folder::beside(path),
-    );
-    read.map_err(|error: Error| error.into())
+    Ok(read_board_text(path, &text)?)
 }
 
 /// The text with another value in its table `network`.

@@ -112,7 +112,11 @@ pub fn read_text(path: &Path) -> Result<String, Error> {
 
 /// Reads a board file and its platform.
 pub fn read_board(path: &Path) -> Result<Board, Error> {
-    let text = read_text(path)?;
+    read_board_text(path, &read_text(path)?)
+}
+
+/// Reads a configuration whose file has, or is to have, this text.
+pub fn read_board_text(path: &Path, text: &str) -> Result<Board, Error> {
     let stem = path
         .file_stem()
         .and_then(|stem| stem.to_str())
@@ -120,7 +124,7 @@ pub fn read_board(path: &Path) -> Result<Board, Error> {
     Board::read(
         &path.display().to_string(),
         stem,
-        &text,
+        text,
         &Folder::beside(path),
     )
 }

@@ -194,6 +194,7 @@ def regmap_rs(banks, abi):
         ("IN", rm.MAX_IN, "Inputs"), ("OUT", rm.MAX_OUT, "Outputs"),
     ):
         out += _const(f"{name}_MAX", value, f"{what} the map has room for.")
+    out += _const("WORD_PINS", rm.WORD_PINS, "Inputs or outputs of a word.")
     out += _const("JOB_AXES_MAX", rm.JOB_AXES_MAX, "Axes a job can have at most.")
     out += _const("JOB_SEGMENTS", rm.JOB_SEGMENTS, "Segments that fit into the FIFO.")
     out += _const("CSR_BASE", f"0x{rm.CSR_BASE:08x}", "First byte of the register pages.")

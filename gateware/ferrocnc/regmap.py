@@ -253,8 +253,7 @@ WATCHDOG = Bank("watchdog", 10, "watchdog", "The gate every output passes, and t
     )),
 ))
 
-GPIO = Bank("gpio", 11, "gpio", "The first 32 digital inputs and outputs, one bit per pin. Outputs "
-    "are set in `command.gpio_out`.", (
+_GPIO_WORD = (  # of both words of inputs and outputs
     Reg("in_now", "ro", "Level of each input after its debounce, one bit per input."),
     Reg("safe", "rw", "Level each output takes while the gate is closed, one bit per output, "
         "before inversion."),
@@ -263,6 +262,10 @@ GPIO = Bank("gpio", 11, "gpio", "The first 32 digital inputs and outputs, one bi
     Reg("out_now", "ro", "Level each output pin carries now, one bit per output."),
     Reg("raw_now", "ro", "Level of each input pin two clocks ago (synchronised, not debounced), "
         "one bit per input."),
+)
+
+GPIO = Bank("gpio", 11, "gpio", "The first 32 digital inputs and outputs, one bit per pin. Outputs "
+    "are set in `command.gpio_out`.", _GPIO_WORD + (
     Reg("estop_mask", "ro", "1: this input is an e-stop input, one bit per input. A fact of the "
         "board file."),
     Reg("estop_level", "ro", "Level that stops, one bit per e-stop input: 1 high, 0 low. A fact of "
@@ -283,16 +286,7 @@ DEBOUNCE = Bank("debounce", 13, "debounce", "How long an input must be stable be
 
 GPIO_HIGH = Bank("gpio_high", 69, "gpio_high", "Digital inputs and outputs 32 to 63, one bit per "
     "pin: bit 0 is pin 32. Outputs are set in `command.gpio_out_high`. Boards with fewer pins read "
-    "0.", (
-    Reg("in_now", "ro", "Level of each input after its debounce, one bit per input."),
-    Reg("safe", "rw", "Level each output takes while the gate is closed, one bit per output, "
-        "before inversion."),
-    Reg("invert_out", "rw", "1 inverts the output at the pin, one bit per output; applies to the "
-        "safe level too."),
-    Reg("out_now", "ro", "Level each output pin carries now, one bit per output."),
-    Reg("raw_now", "ro", "Level of each input pin two clocks ago (synchronised, not debounced), "
-        "one bit per input."),
-))
+    "0.", _GPIO_WORD)
 
 LED = Bank("led", 12, "led", "The board's one LED.", (
     Reg("pattern", "rw", "What the LED shows; blinking patterns repeat about once a second.", (

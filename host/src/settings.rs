@@ -78,11 +78,7 @@ impl Group for Disarmed {
             )
             .write(
                 map::CONFIG_BOARD + 4 * map::BoardConfig::GpioSafeHigh as u32,
-                if channels.outputs_high() == 0 {
-                    &[]
-                } else {
-                    &high
-                },
+                &high[..high.len() * channels.outputs_high()],
             )
             .write(
                 map::CONFIG_DEBOUNCE,

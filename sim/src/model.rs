@@ -26,3 +26,8 @@ pub mod watchdog;
 pub mod wide_counter;
 
 pub use board::Board;
+
+/// The lowest `count` bits.
+fn lowest(count: u8) -> u64 {
+    1u64.checked_shl(count.into()).unwrap_or(0).wrapping_sub(1)
+}

@@ -1,7 +1,7 @@
 //! The channel counts of a board: they determine the length of the exchange's blocks.
 
 use crate::Refusal;
-use crate::regmap::{ENCODER_MAX, IN_MAX, OUT_MAX, PWM_MAX, STEPGEN_MAX};
+use crate::regmap::{self, ENCODER_MAX, IN_MAX, OUT_MAX, PWM_MAX, STEPGEN_MAX};
 
 /// Largest number of stepgens, of encoders and of PWMs on a board.
 pub const MAX_CHANNELS: usize = STEPGEN_MAX;
@@ -10,7 +10,7 @@ const _: () = assert!(ENCODER_MAX == MAX_CHANNELS && PWM_MAX == MAX_CHANNELS);
 
 /// Inputs or outputs of a word. Only those of the first can be e-stop inputs, the probe, or outputs
 /// of a job.
-pub const WORD_PINS: u8 = 32;
+pub const WORD_PINS: u8 = regmap::WORD_PINS as u8;
 
 /// How many channels of each kind a board has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

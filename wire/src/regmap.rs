@@ -65,6 +65,8 @@ pub const PWM_MAX: usize = 16;
 pub const IN_MAX: usize = 64;
 /// Outputs the map has room for.
 pub const OUT_MAX: usize = 64;
+/// Inputs or outputs of a word.
+pub const WORD_PINS: usize = 32;
 /// Axes a job can have at most.
 pub const JOB_AXES_MAX: usize = 7;
 /// Segments that fit into the FIFO.

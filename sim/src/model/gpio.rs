@@ -1,5 +1,7 @@
 //! `gpio.sv`: inputs with their debouncer, e-stop inputs, and outputs with the gate.
 
+use crate::model::lowest;
+
 /// Pins the debouncer visits in turn.
 const PINS: usize = wire::channels::WORD_PINS as usize;
 
@@ -48,15 +50,11 @@ pub struct Input {
     pub job_value: u32,
 }
 
-fn mask(count: u32) -> u32 {
-    1u32.checked_shl(count).unwrap_or(0).wrapping_sub(1)
-}
-
 impl Gpio {
     /// So many pins, of which the inputs in `estop_mask` stop at their bit of `estop_level`.
-    pub fn new(inputs: u32, outputs: u32, estop_mask: u32, estop_level: u32) -> Self {
+    pub fn new(inputs: u8, outputs: u8, estop_mask: u32, estop_level: u32) -> Self {
         // No pins at all are one in the gateware.
-        let (inputs, outputs) = (mask(inputs.max(1)), mask(outputs.max(1)));
+        let [inputs, outputs] = [inputs, outputs].map(|count| lowest(count.max(1)) as u32);
         let released = estop_mask & !estop_level & inputs;
         Gpio {
             estop_mask,

@@ -1,13 +1,12 @@
 //! `ferrocnc card identify`: which card is this? Of what is printed on it, and of what its FPGA
 //! says through a JTAG cable, if there is one.
 
-use crate::images;
 use crate::text::say;
-use anyhow::{Context, Result, anyhow, bail};
+use crate::{config, images};
+use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand};
 use ferrocnc::image::fpga_name;
 use ferrocnc::jtag::{DEFAULT_CABLE, JtagError, Loader};
-use ferrocnc_config::board::Platforms;
 use ferrocnc_config::platform::Platform;
 use ferrocnc_config::source::Folder;
 use serde_json::json;
@@ -129,13 +128,9 @@ fn wires() -> String {
     text + " A cable that asks for the voltage gets 3.3 V from J33. The card itself needs its own 5 V.\n"
 }
 
+/// Those that the tool knows by itself.
 fn platforms() -> Result<Vec<Platform>> {
-    let folder = Folder::default();
-    let platform = |name: String| {
-        let (file, text) = folder.text(&name).context("a platform without a file")?;
-        Platform::read(&file, &name, &text).map_err(|error| anyhow!("{error}"))
-    };
-    folder.names().into_iter().map(platform).collect()
+    config::platforms(&Folder::default())
 }
 
 /// Letters and digits only: `5A-75B V8.0`, `5a75b 8.0` and `5a-75b-8.0` are one card.

@@ -267,15 +267,23 @@ impl New {
     }
 }
 
-/// The platforms that there are: in a checkout its own, else the built-in ones.
-pub(crate) fn platforms() -> Result<Value> {
-    let folder = Folder::beside(Path::new(""));
-    let known = folder.names().into_iter().filter_map(|name| {
+/// The platforms of this folder, else the built-in ones.
+pub(crate) fn platforms(folder: &Folder) -> Result<Vec<Platform>> {
+    let names = folder.names().into_iter();
+    let read = names.filter_map(|name| {
         let (file, text) = folder.text(&name)?;
-        let read = Platform::read(&file, &name, &text).map_err(Into::into);
-        Some(read.map(|it| json!({ "name": it.name, "title": it.title, "device": it.device })))
+        Some(Platform::read(&file, &name, &text).map_err(Into::into))
     });
-    Ok(Value::Array(known.collect::<Result<_>>()?))
+    read.collect()
+}
+
+/// Those that a board file here could name, as JSON: in a checkout its own.
+pub(crate) fn platforms_to_json() -> Result<Value> {
+    let known = platforms(&Folder::beside(Path::new("")))?;
+    let facts = known
+        .iter()
+        .map(|it| json!({ "name": it.name, "title": it.title, "device": it.device }));
+    Ok(Value::Array(facts.collect()))
 }
 
 fn import(from: From, file: &Path, to: &Path, hal: Option<&Path>, force: bool) -> Result<()> {

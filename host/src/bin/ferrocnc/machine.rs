@@ -205,11 +205,11 @@ fn check_file(file: &Path, as_json: bool) -> Result<()> {
 }
 
 fn write_plant(file: &Path, output: Option<&Path>) -> Result<()> {
-    let told = look(file, false)?;
+    let mut told = look(file, false)?;
     for error in &told.bad {
         eprintln!("{error}");
     }
-    let machine = told.machine.clone();
+    let machine = told.machine.take();
     let plan = told.into_plan()?;
     let machine = machine.context("the machine cannot be read")?;
     let text = plant(&machine, &plan.board);

@@ -238,14 +238,9 @@ impl Hub {
             extreset: Extreset::default(),
             watchdog: Watchdog::default(),
             timebase: Timebase::default(),
-            gpio: Gpio::new(
-                c.inputs.into(),
-                c.outputs.into(),
-                build.estop_mask,
-                build.estop_level,
-            ),
+            gpio: Gpio::new(c.inputs, c.outputs, build.estop_mask, build.estop_level),
             gpio_high: (c.inputs.max(c.outputs) > WORD_PINS).then(|| {
-                let behind = |count: u8| count.saturating_sub(WORD_PINS).into();
+                let behind = |count: u8| count.saturating_sub(WORD_PINS);
                 Gpio::new(behind(c.inputs), behind(c.outputs), 0, 0)
             }),
             led: Led::new(u32::BITS - build.clock_hz.leading_zeros()),

@@ -1,10 +1,10 @@
 //! One rising edge of all parts, in the order of the hardware: bus writes, samples, cores,
 //! registers, pins.
 
-use super::registers::{mask, place};
+use super::registers::place;
 use super::{Board, Bus, Strobes, pages, put};
 use crate::model::segments::{self, Order};
-use crate::model::{gpio, timebase, watchdog};
+use crate::model::{gpio, lowest, timebase, watchdog};
 use wire::channels::WORD_PINS;
 use wire::regmap;
 
@@ -280,7 +280,7 @@ impl Board {
     }
 
     pub(super) fn show_hub(&mut self) {
-        self.out.gpio_out = self.hub.out() & mask(self.build.channels.outputs);
+        self.out.gpio_out = self.hub.out() & lowest(self.build.channels.outputs);
         self.out.led = self.hub.led.lit().into();
         let (reset, estop) = (self.hub.extreset.active(), self.hub.gpio.estop());
         self.out.gate = self.hub.watchdog.gate(reset, estop).into();

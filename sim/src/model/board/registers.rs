@@ -2,17 +2,13 @@
 
 use super::{Board, CHANNELS, pages};
 use crate::model::gpio::Gpio;
+use crate::model::lowest;
 use crate::model::segments::{self, State, Told};
 use crate::model::stepgen;
 use motion::segment::PACE_ONE;
 use wire::exchange::PWM_PERIOD_MAX;
 use wire::map::{DIR_CLOCKS_MAX, PROBE_ENABLE, PROBE_INPUT_MASK, PROBE_INVERT, STEP_CLOCKS_MAX};
 use wire::regmap::{self, command, status};
-
-/// The lowest `count` bits.
-pub(super) fn mask(count: u8) -> u64 {
-    1u64.checked_shl(count.into()).unwrap_or(0).wrapping_sub(1)
-}
 
 /// Bits of a word's number in the address of a bus cycle.
 pub(super) const WORD_BITS: u32 = (regmap::CSR_PAGE / 4).trailing_zeros();
@@ -172,7 +168,7 @@ impl Board {
     pub(super) fn store(&mut self, page: u32, word: usize, data: u32, job: Told) {
         let c = self.build.channels;
         // No outputs at all are one in the gateware.
-        let all = mask(c.outputs.max(1));
+        let all = lowest(c.outputs.max(1));
         let (outputs, outputs_high) = (all as u32, (all >> u32::BITS) as u32);
         let regs = &mut self.regs;
         let channel = |first: u32, count: u8| {
@@ -372,7 +368,7 @@ impl Board {
     /// A word of the inputs and outputs behind the first 32.
     fn gpio_high_word(&self, word: usize) -> u32 {
         let (regs, hub) = (&self.regs, &self.hub);
-        let high = mask(self.build.channels.outputs) >> u32::BITS;
+        let high = lowest(self.build.channels.outputs) >> u32::BITS;
         match word {
             regmap::gpio_high::IN_NOW => hub.levels()[1],
             regmap::gpio_high::SAFE => regs.safe[1],
@@ -455,11 +451,11 @@ impl Board {
         let known = self.seen.iter().find(|(since, _)| *since <= then);
         let levels = known.unwrap_or(&self.seen[2]).1;
         let c = self.build.channels;
-        let masks = [c.stepgens, c.stepgens, c.pwms].map(|count| mask(count) as u32 * 0x1_0001);
+        let masks = [c.stepgens, c.stepgens, c.pwms].map(|count| lowest(count) as u32 * 0x1_0001);
         match word {
             0..3 => levels[word] & masks[word],
-            3 => levels[3] & mask(c.outputs) as u32,
-            4 => levels[4] & (mask(c.outputs) >> u32::BITS) as u32,
+            3 => levels[3] & lowest(c.outputs) as u32,
+            4 => levels[4] & (lowest(c.outputs) >> u32::BITS) as u32,
             _ => 0,
         }
     }

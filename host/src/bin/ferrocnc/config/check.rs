@@ -3,8 +3,8 @@
 use super::stem;
 use crate::text::say;
 use anyhow::{Result, bail};
-use ferrocnc_config::source::{Folder, read_text};
-use ferrocnc_config::{Board, Error, Platform, read_board};
+use ferrocnc_config::source::read_text;
+use ferrocnc_config::{Board, Error, Platform, read_board_text};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -52,21 +52,20 @@ fn read(file: &Path) -> Result<Read, Error> {
         let platform = Platform::read(&file.display().to_string(), &stem(file), &read_text(file)?)?;
         return Ok(Read::Platform(Box::new(platform)));
     }
-    let board = read_board(file)?;
-    ferrocnc_config::blob::blob(&board)?;
+    let board = described(file, &read_text(file)?)?;
     Ok(Read::Board(Box::new(board)))
 }
 
 /// The same of a board file that is not written yet; what `check --json` says of a file.
 pub(crate) fn check_text(name: &str, toml: &str) -> Value {
     let file = PathBuf::from(format!("{name}.toml"));
-    let read = read_board_text(&file, toml);
+    let read = described(&file, toml);
     verdict(&file, &read.map(|board| Read::Board(Box::new(board))))
 }
 
-pub(super) fn read_board_text(file: &Path, toml: &str) -> Result<Board, Error> {
-    let shown = file.display().to_string();
-    let board = Board::read(&shown, &stem(file), toml, &Folder::beside(Path::new("")))?;
+/// The board of a board file with this text, whose description fits it.
+pub(super) fn described(file: &Path, toml: &str) -> Result<Board, Error> {
+    let board = read_board_text(file, toml)?;
     ferrocnc_config::blob::blob(&board)?;
     Ok(board)
 }

@@ -1,6 +1,6 @@
 //! `ferrocnc config pinout`: the headers in the terminal, as SVG, and as data for the pages.
 
-use super::check::{is_of_platforms, read_board_text};
+use super::check::{described, is_of_platforms};
 use super::{When, stem};
 use crate::text::{drawn, say};
 use anyhow::{Context, Result};
@@ -80,5 +80,5 @@ fn platform(what: &Path) -> Result<Option<Platform>> {
 /// What `pinout` draws of it.
 pub(crate) fn pinout_of(name: &str, toml: &str) -> Result<Pinout> {
     let file = PathBuf::from(format!("{name}.toml"));
-    Ok(Pinout::of_board(&read_board_text(&file, toml)?))
+    Ok(Pinout::of_board(&described(&file, toml)?))
 }

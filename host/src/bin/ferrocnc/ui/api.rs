@@ -66,7 +66,7 @@ pub(super) async fn doctor(Query(patient): Query<Patient>) -> Answer {
 
 /// What `config new --platform` takes.
 pub(super) async fn platforms() -> Answer {
-    Ok(Json(answered(config::platforms).await?))
+    Ok(Json(answered(config::platforms_to_json).await?))
 }
 
 /// `ferrocnc config new`.

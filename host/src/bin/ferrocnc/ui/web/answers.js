@@ -5,24 +5,22 @@ const GONE = "`ferrocnc ui` does not answer; start it again and open the address
 
 /** The JSON of a GET, or an error with the reason of the refusal. */
 export async function ask(command, query = {}) {
-  return answer(command, query);
+  return (await sent(command, query)).json();
 }
 
 /** The JSON of a POST. */
 export async function tell(command, body) {
-  const headers = { "Content-Type": "application/json" };
-  return answer(command, {}, { method: "POST", headers, body: JSON.stringify(body) });
+  return (await sent(command, {}, post(body))).json();
 }
 
 /** The text of a POST. */
 export async function text(command, body) {
-  const headers = { "Content-Type": "application/json" };
-  const response = await sent(command, {}, { method: "POST", headers, body: JSON.stringify(body) });
-  return response.text();
+  return (await sent(command, {}, post(body))).text();
 }
 
-async function answer(command, query, options) {
-  return (await sent(command, query, options)).json();
+function post(body) {
+  const headers = { "Content-Type": "application/json" };
+  return { method: "POST", headers, body: JSON.stringify(body) };
 }
 
 async function sent(command, query, options) {
