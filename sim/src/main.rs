@@ -379,6 +379,7 @@ impl Arguments {
             mode,
             silence: Duration::from_millis(self.silence_ms),
             orphan_clocks: device.clocks(Duration::from_millis(self.orphan_ms)),
+            alone: None,
             report: self.report.clone(),
         };
         let server = Server::bind(device, options, stop).context("cannot listen")?;

@@ -16,7 +16,8 @@
 //! dead: after [`Options::silence`] of the machine's time the board runs on by itself for
 //! [`Options::orphan_clocks`].
 //!
-//! *Free*: time runs as fast as it can, or paced.
+//! *Free*: time runs as fast as it can, or paced. It may wait for a host that has to be in time, on a
+//! computer that is not: [`Options::alone`].
 //!
 //! The only inspection of a datagram is whether it is an exchange, or reads.
 
@@ -85,6 +86,9 @@ pub struct Options {
     /// Lockstep: how far it then runs, sys clocks. Enough for every watchdog and soft stop; not so
     /// much that a forgotten simulator keeps a core busy for ever.
     pub orphan_clocks: u64,
+    /// Free: how far the board runs on behind the host's last datagram, sys clocks; then its time
+    /// stands still until the next one. The control command `wait-for-host` sets another.
+    pub alone: Option<u64>,
     /// Where `stats` and the end of the run write the report.
     pub report: Option<PathBuf>,
 }
@@ -136,6 +140,8 @@ pub struct Server<D: Device> {
     orphan_until: u64,
     /// Paced: since when, and from which sys clock, both clocks are compared.
     pace_from: Option<(Instant, u64)>,
+    /// Free: the sys clock of the host's last datagram.
+    heard: u64,
 }
 
 /// Sys clocks simulated between two looks at the outside world when time runs by itself: about a
@@ -219,6 +225,7 @@ impl<D: Device> Server<D> {
             asked: Vec::new(),
             orphan_until: 0,
             pace_from: None,
+            heard: 0,
         };
         server.follow_addresses()?;
         Ok(server)
@@ -311,7 +318,7 @@ impl<D: Device> Server<D> {
         if let Some(cable) = &mut self.cable {
             cable.carry(&mut self.rig);
         }
-        let event = match self.ahead(pace) {
+        let event = match self.waits().or_else(|| self.ahead(pace)) {
             // Nothing to do until time goes on or an event comes.
             Some(wait) => self
                 .events
@@ -331,6 +338,13 @@ impl<D: Device> Server<D> {
             Ok(event) => self.handle(event),
             Err(disconnected) => self.quit |= disconnected,
         }
+    }
+
+    /// Whether the board waits for a datagram of its host, and how long until it looks whether it
+    /// was told to end.
+    fn waits(&self) -> Option<Duration> {
+        let alone = self.options.alone?;
+        (self.rig.clock() >= self.heard + alone).then_some(LATE)
     }
 
     /// How long a paced board has to wait for this machine's clock; `None` when it has not to.
@@ -353,6 +367,7 @@ impl<D: Device> Server<D> {
     /// Put a datagram of the outside world on the segment; the virtual port it comes from there.
     fn post(&mut self, service: Service, sender: SocketAddr, payload: &[u8]) -> u16 {
         let port = self.nat.port(sender);
+        self.heard = self.rig.clock();
         self.rig.post(port, service, payload);
         port
     }
@@ -511,8 +526,8 @@ impl<D: Device> Server<D> {
         match words.first().copied().unwrap_or_default() {
             "" => String::new(),
             "help" => format!(
-                "freeze-cpu [0|1], ext-reset [0|1], gpio-in MASK, ping, run CLOCKS, run-ms MS, fault [WORDS], \
-                 drop-to-board N, drop-from-board N, pins, counts, stats, report, quit; WORDS of fault: {WORDS}"
+                "freeze-cpu [0|1], ext-reset [0|1], gpio-in MASK, ping, run CLOCKS, run-ms MS, \
+                 wait-for-host US, fault [WORDS], drop-to-board N, drop-from-board N, pins, counts, stats, report, quit; WORDS of fault: {WORDS}"
             ),
             "fault" => self.fault(line.trim_start().trim_start_matches("fault")),
             "freeze-cpu" => match level(rest) {
@@ -544,6 +559,14 @@ impl<D: Device> Server<D> {
                     format!("ok clock={}", self.rig.clock())
                 }
                 None => "error: run takes a number of clocks, run-ms of milliseconds".into(),
+            },
+            "wait-for-host" => match rest.and_then(|t| number(t)) {
+                Some(us) => {
+                    let clocks = self.rig.clocks(Duration::from_micros(us));
+                    self.options.alone = (us > 0).then_some(clocks);
+                    format!("ok wait_for_host={us}")
+                }
+                None => "error: wait-for-host takes microseconds, 0 for not at all".into(),
             },
             "drop-to-board" | "drop-from-board" => match rest.and_then(|t| number(t)) {
                 Some(n) if words[0] == "drop-to-board" => {

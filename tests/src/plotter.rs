@@ -23,6 +23,9 @@ use wire::jobs::{Report, State};
 
 /// As long as a test may take, even on a busy computer.
 const PATIENCE: Duration = Duration::from_secs(120);
+/// Less than the segments of one datagram last, and than the watchdog allows; more than an answer
+/// takes.
+const ALONE_US: u64 = 250;
 /// Far longer than any job takes.
 const JOB: Duration = Duration::from_secs(600);
 
@@ -58,8 +61,9 @@ impl Plotter {
         Plotter::switched_on(facts, None, "")
     }
 
-    /// The same without SDRAM, so many times slower than real time, so that a busy computer is not
-    /// too late. Its jobs have no executor yet.
+    /// The same without SDRAM, so many times slower than real time. Its time waits for the PC that
+    /// streams, which a busy computer makes late: [`Plotter::waits_for_its_pc`]. Its jobs have no
+    /// executor yet.
     pub fn without_sdram(slower: u32) -> Self {
         Plotter::bare(slower, "")
     }
@@ -90,6 +94,7 @@ impl Plotter {
 
     fn switched_on(facts: BoardFacts, pace: Option<f64>, trouble: &str) -> Self {
         let streamed = !facts.sdram;
+        let alone = streamed.then(|| u64::from(CLOCK) / 1_000_000 * ALONE_US);
         let mut twin = Twin::power_up(Setup::new(facts, Plant::default()));
         if !trouble.is_empty() {
             let plan = trouble.parse().expect("words for trouble");
@@ -110,6 +115,7 @@ impl Plotter {
             mode: Mode::Free { pace },
             silence: PATIENCE,
             orphan_clocks: 0,
+            alone,
             report: None,
         };
         let stop = Arc::<AtomicBool>::default();
@@ -174,6 +180,12 @@ impl Plotter {
     /// One of the simulator's control commands; its answer.
     pub fn control(&self, command: &str) -> String {
         crate::control(self.control.into(), command)
+    }
+
+    /// Whether time waits for a PC that is silent, or goes on without it.
+    pub fn waits_for_its_pc(&self, waits: bool) {
+        let us = if waits { ALONE_US } else { 0 };
+        self.control(&format!("wait-for-host {us}"));
     }
 
     /// Pulses at the pins of each axis, and whether the gate is open, as they are now.

@@ -52,8 +52,9 @@ const NAP: Duration = Duration::from_micros(250);
 const SLEEP: Duration = Duration::from_millis(2);
 /// Clients beside the one that is connected; one more, and the first of them has to go.
 const CALLERS: usize = 16;
-/// The time the axes may take to come to rest when this program is told to end.
-const FAREWELL: Duration = Duration::from_secs(10);
+/// The time the axes may take to come to rest when this program is told to end: more than any stop
+/// takes. A second signal ends it at once.
+const FAREWELL: Duration = Duration::from_secs(60);
 
 /// What is read at once. What is left belongs to a segment: the count is asked in front of it and
 /// behind it.
@@ -146,6 +147,7 @@ impl Streamer {
             pushes: 0,
             known: [0; SHAPE + 1],
             known_at: None,
+            counted: false,
             hole: false,
             wrote: false,
         };
@@ -395,6 +397,8 @@ struct Far {
     /// What the segments said last.
     known: [u32; SHAPE + 1],
     known_at: Option<Instant>,
+    /// The level has been counted up since it was read or asked for.
+    counted: bool,
     /// Something was not written.
     hole: bool,
     wrote: bool,
@@ -412,7 +416,10 @@ impl Outside for Far {
     }
 
     fn read_segments(&mut self, word: usize) -> u32 {
-        let fresh = self.known_at.is_some_and(|at| at.elapsed() < FRESH);
+        // A push counts the level up here, and on the board it only falls: a slow computer, too, has
+        // a whole batch for a datagram.
+        let counted = word == STATUS && core::mem::take(&mut self.counted);
+        let fresh = counted || self.known_at.is_some_and(|at| at.elapsed() < FRESH);
         if !fresh && self.settle().is_none() {
             self.failed();
         }
@@ -431,6 +438,7 @@ impl Outside for Far {
         } else if word == PUSH {
             self.pushes += 1;
             self.known[STATUS] += 1;
+            self.counted = true;
             if self.pushes >= BATCH && self.settle().is_none() {
                 self.failed();
             }
@@ -483,7 +491,7 @@ impl Far {
     fn acquire(&mut self) -> u32 {
         let session = self.client.acquire().ok();
         self.waiting.clear();
-        (self.number, self.known_at) = (None, None);
+        (self.number, self.known_at, self.counted) = (None, None, false);
         (self.hole, self.pushes) = (false, 0);
         self.owns = session.is_some();
         self.sequence = session.map_or(0, |session| session.last_sequence);

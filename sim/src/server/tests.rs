@@ -64,15 +64,21 @@ impl Silicon for Echo {
     }
 }
 
-/// A served echo board; the thread gives its rig back when the flag is set.
-fn serve(
-    mode: Mode,
-) -> (
+/// Where a served board and its control are, the flag that ends it, and the thread that then gives
+/// its rig back.
+type Served = (
     SocketAddr,
     SocketAddr,
     Arc<AtomicBool>,
     std::thread::JoinHandle<Rig<Echo>>,
-) {
+);
+
+/// A served echo board.
+fn serve(mode: Mode) -> Served {
+    serve_waiting(mode, None)
+}
+
+fn serve_waiting(mode: Mode, alone: Option<u64>) -> Served {
     let mut board = Board::new(Echo::default(), 60_000_000, Plant::default());
     board.reset(|_| {});
     let rig = Rig::around(board, crate::lan_segment::BOARD_IP);
@@ -89,6 +95,7 @@ fn serve(
         mode,
         silence: Duration::from_secs(60),
         orphan_clocks: 1000,
+        alone,
         report: None,
     };
     let stop = Arc::new(AtomicBool::new(false));
@@ -223,4 +230,22 @@ fn free_runs_by_itself_and_stops_when_told() {
     let rig = thread.join().unwrap();
     assert_eq!(rig.frames.from_board, 1);
     assert!(rig.clock() > 32);
+}
+
+#[test]
+fn free_and_waiting_time_stands_still_until_the_next_datagram_of_the_host() {
+    let alone = 5000;
+    let (udp, _, stop, thread) = serve_waiting(Mode::Free { pace: None }, Some(alone));
+    let host = client(udp);
+    assert_eq!(talk(&host, b"one"), b"one");
+    std::thread::sleep(Duration::from_millis(50));
+    assert_eq!(talk(&host, b"two"), b"two");
+    std::thread::sleep(Duration::from_millis(50));
+    stop.store(true, Ordering::Relaxed);
+    let rig = thread.join().unwrap();
+    assert!(
+        (alone..3 * alone + 3 * SLICE).contains(&rig.clock()),
+        "{} clocks",
+        rig.clock()
+    );
 }

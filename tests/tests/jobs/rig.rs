@@ -36,8 +36,7 @@ pub fn begin(board: &mut Board, name: &str, program: &Program) {
     board.start(name, None).expect("it begins");
 }
 
-/// So many times slower than real time: then a machine at work, too, is never late for the 64
-/// segments a board has in hand.
+/// So many times slower than real time: a busy computer streams as fast as a board executes.
 pub const SLOWER: u32 = 10;
 
 /// As CAM programs go: a face in many passes, each a run of lines a third of a millimetre long over
@@ -135,6 +134,7 @@ pub fn at_rest(plotter: &Plotter) -> (StateWord, [i64; 3], u64) {
         let state = StateWord::from_word(words[0]).expect("a state");
         if !state.enabled && words[1] == 0 {
             // An idle board samples a hundred times a second of its own.
+            plotter.waits_for_its_pc(false);
             std::thread::sleep(Duration::from_millis(20 * u64::from(SLOWER)));
             let place = |axis: usize| STATUS_HEAD + axis * STATUS_STEPGEN + 1;
             let addresses = [4, 5, place(0), place(1), place(2)];

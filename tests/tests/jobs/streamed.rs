@@ -24,6 +24,7 @@ fn a_pc_without_its_cable_claims_to_know_no_position_until_it_is_back() {
         }
     };
     until(true);
+    plotter.waits_for_its_pc(false);
     plotter.control("fault pull");
     until(false);
     plotter.control("fault plug");
@@ -58,6 +59,7 @@ const BACK: &[u8] = b"M5\nG0 X5 Y5\nG0 X0 Y0 Z0\nM2\n";
 
 /// Executes something short from where the axes are to home, with another PC.
 fn goes_home(plotter: Plotter) -> Vec<pins::Event> {
+    plotter.waits_for_its_pc(true);
     let serving = Serving::begin(&plotter);
     let mut board = serving.start(&program(BACK));
     let report = plotter.finish(&mut board);
@@ -80,6 +82,7 @@ fn a_pc_that_vanishes_while_it_streams_is_a_soft_stop_on_known_positions_and_ano
     let mut serving = Serving::begin(&plotter);
     serving.draw_a_little();
     serving.child.kill().expect("it can be killed");
+    plotter.waits_for_its_pc(false);
     let (state, steps, clock) = at_rest(&plotter);
     assert_eq!(
         (state.reason, state.position_trusted),

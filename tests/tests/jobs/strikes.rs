@@ -52,6 +52,9 @@ impl Strikes {
     }
 
     fn strike(self, plotter: &mut Plotter, board: &mut Board) {
+        if matches!(self, Strikes::Pulled | Strikes::Frozen | Strikes::Reset) {
+            plotter.waits_for_its_pc(false);
+        }
         match self {
             Strikes::Pulled => drop(plotter.control("fault pull")),
             Strikes::Frozen => drop(plotter.control("freeze-cpu 1")),

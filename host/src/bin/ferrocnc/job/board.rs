@@ -224,7 +224,10 @@ fn serve(address: &str, at: SocketAddr, as_json: bool) -> Result<()> {
     let mut streamer = Streamer::open(&address, crate::keys(), at)?;
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        signal_hook::flag::register(signal, stop.clone()).context("cannot take signals")?;
+        // The second one ends the program at once; then the board's watchdog stops the axes.
+        signal_hook::flag::register_conditional_default(signal, stop.clone())
+            .and_then(|_| signal_hook::flag::register(signal, stop.clone()))
+            .context("cannot take signals")?;
     }
     let at = streamer.at();
     match as_json {
