@@ -33,6 +33,7 @@
 //! | [`net`] | a port of this computer, given to the board and taken back |
 //! | [`panel`] | panels for LinuxCNC's screens that say what is wrong |
 //! | [`selftest`] | tests of a new board and its wiring, with remedies |
+//! | [`tryout`] | one output, axis or encoder at a time, by hand |
 //! | [`finding`] | what those two found, as text and JSON |
 //! | [`job`] | drawings and programs become jobs, are drawn and checked |
 //! | [`histogram`] | how often an exchange took how long, in bounded time |
@@ -118,6 +119,8 @@ pub mod replace;
 pub mod selftest;
 pub mod settings;
 pub mod sync;
+#[cfg(feature = "tool")]
+pub mod tryout;
 pub mod turn;
 pub mod uid;
 #[cfg(feature = "tool")]

@@ -36,7 +36,8 @@ const HERE: [&str; 15] = [
 ];
 
 /// Commands that another test runs: their beginning, and the test.
-const ELSEWHERE: [(&str, &str); 15] = [
+const ELSEWHERE: [(&str, &str); 16] = [
+    ("ferrocnc test ", "tests/tests/tryout/main.rs"),
     ("ferrocnc machine ", "host/tests/pages.rs"),
     ("ferrocnc-sim --backend model ", "tests/tests/machines.rs"),
     ("linuxcnc mill.ini", "tests/tests/machines.rs"),

@@ -50,6 +50,7 @@ const PACKAGES: &[(&str, &str)] = &[
         "iptables",
         "a firewall that `ferrocnc discover` has to get past",
     ),
+    ("tmux", "the terminal of `ferrocnc test`"),
     ("nftables", "the rule of `ferrocnc net setup`"),
     (
         "procps",

@@ -389,6 +389,7 @@ impl Level {
             Level::Peers => board_tests("peers", "3 min", "2"),
             Level::Provision => Ok(board_tests("provision", "1 min", "2")?
                 + board_tests("selftest", "5 min", "2")?
+                + board_tests("tryout", "1 min", "2")?
                 + board_tests("lan", "2 min", "2")?
                 + board_tests("net", "1 min", "2")?
                 + board_tests("names", "1 min", "1")?),

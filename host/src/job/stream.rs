@@ -416,8 +416,8 @@ impl Outside for Far {
     }
 
     fn read_segments(&mut self, word: usize) -> u32 {
-        // A push counts the level up here, and on the board it only falls: a slow computer, too, has
-        // a whole batch for a datagram.
+        // A push counts the level up here, and on the board it only falls: a slow computer, too,
+        // has a whole batch for a datagram.
         let counted = word == STATUS && core::mem::take(&mut self.counted);
         let fresh = counted || self.known_at.is_some_and(|at| at.elapsed() < FRESH);
         if !fresh && self.settle().is_none() {

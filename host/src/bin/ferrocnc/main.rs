@@ -30,6 +30,7 @@ mod selftest;
 mod set;
 mod soak;
 mod text;
+mod tryout;
 mod ui;
 mod update;
 mod watch;
@@ -110,6 +111,9 @@ enum ToolCommand {
     /// Is this board all right? Looks at memory, flash, link and clock; with --outputs and --loop
     /// at pins and jumpers, too.
     Selftest(selftest::Selftest),
+    /// One output, axis or encoder at a time, by hand, in a terminal; inputs as they are. Nothing
+    /// is driven before the key `a`.
+    Test(tryout::TestArguments),
     /// What of this computer makes exchanges late or loses them: kernel, processors, network port,
     /// addresses. It only reads, and needs no root, but for --fix and --undo.
     Doctor(doctor::Doctor),
@@ -188,6 +192,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         ToolCommand::Discover(arguments) => discover::run(arguments, json),
         ToolCommand::Set(arguments) => set::run(arguments, json),
         ToolCommand::Selftest(arguments) => selftest::run(arguments, json),
+        ToolCommand::Test(arguments) => tryout::run(arguments, json),
         ToolCommand::Doctor(arguments) => doctor::run(arguments, json),
         ToolCommand::Ui(arguments) => ui::run(arguments, json),
         ToolCommand::Net(command) => net::run(command, json),

@@ -1,0 +1,146 @@
+//! `ferrocnc test`: inputs are looked at, one output is switched on, an axis jogged, an encoder
+//! turned, in a terminal.
+//!
+//! One thread exchanges with the board, reads keys and draws. What holds it up (a terminal that
+//! takes no more, a closed lid) ends the exchanges, and the board's watchdog stops the axes.
+
+mod keys;
+mod machine;
+mod screen;
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use ferrocnc::selftest::run::{BusyError, idle};
+use ferrocnc::tryout::board::Bench;
+use ferrocnc::tryout::{Act, Tryout};
+use ratatui::crossterm::event::{
+    self, Event, KeyboardEnhancementFlags, PopKeyboardEnhancementFlags,
+    PushKeyboardEnhancementFlags,
+};
+use ratatui::crossterm::execute;
+use ratatui::crossterm::terminal::supports_keyboard_enhancement;
+use signal_hook::consts::{SIGHUP, SIGTERM};
+use std::io::{IsTerminal, stdout};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// Between two exchanges: a fortieth of the watchdog's time.
+const EVERY: Duration = Duration::from_millis(5);
+/// Between two drawings.
+const DRAWN: Duration = Duration::from_millis(50);
+
+/// Switch one output, jog one axis, turn an encoder, look at the inputs: by hand, in a terminal.
+/// Nothing is driven before the key `a`. Refused while another program owns the board.
+#[derive(Args)]
+pub(crate) struct TestArguments {
+    /// IP[:port] of the board.
+    #[arg(value_name = "ADDR")]
+    address: String,
+    /// Distances in units, and the drives' timings and speeds: of this machine. What is measured
+    /// is offered to it.
+    #[arg(long, short, value_name = "MACHINE.toml")]
+    machine: Option<PathBuf>,
+    /// How long to wait for one answer. Three in a row that are missing switch everything off.
+    #[arg(long, value_name = "MS", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=1000))]
+    patience: u64,
+}
+
+pub(crate) fn run(arguments: &TestArguments, as_json: bool) -> Result<()> {
+    if as_json || !stdout().is_terminal() {
+        bail!("this draws on a terminal; ferrocnc watch BOARD --json is for other programs");
+    }
+    let mut client = crate::open(&arguments.address)?;
+    let identity = client.identify()?;
+    client.check(&identity)?;
+    match idle(&mut client, &identity) {
+        Ok(()) => {}
+        Err(BusyError::State(state)) => bail!("the board is {state}; this needs it at rest"),
+        Err(error) => return Err(error.into()),
+    }
+    let patience = Duration::from_millis(arguments.patience);
+    let machine = arguments.machine.as_deref();
+    let mut machine = machine.map(machine::File::read).transpose()?;
+    let layout = machine::layout(&identity, machine.as_ref());
+    let title = format!("{} at {}", machine::name(&identity), client.address());
+    // Asks the terminal, which may take its time: before the board waits for us.
+    let tells_release = supports_keyboard_enhancement().unwrap_or(false);
+    let mut bench = Bench::take(client, &identity, &layout, patience)?;
+    let mut tryout = Tryout::new(layout);
+    let mut lines = Vec::new();
+    let mut terminal = ratatui::try_init().context("no terminal")?;
+    if tells_release {
+        let flags = KeyboardEnhancementFlags::REPORT_EVENT_TYPES
+            | KeyboardEnhancementFlags::DISAMBIGUATE_ESCAPE_CODES;
+        let _ = execute!(stdout(), PushKeyboardEnhancementFlags(flags));
+    }
+    let ended = drive(
+        &mut terminal,
+        &mut bench,
+        &mut tryout,
+        &title,
+        |found, tryout| match &mut machine {
+            Some(machine) => machine.take(found, tryout),
+            None => {
+                let name = &tryout.layout.motors[found.motor].line.name;
+                lines.push(format!("{name}: {}", found.line("unit")));
+                tryout.say("printed when this ends");
+            }
+        },
+    );
+    // The machine is at rest before anything else.
+    drop(bench);
+    if tells_release {
+        let _ = execute!(stdout(), PopKeyboardEnhancementFlags);
+    }
+    ratatui::restore();
+    for line in lines {
+        crate::text::say(&format!("{line}\n"))?;
+    }
+    ended
+}
+
+fn drive(
+    terminal: &mut ratatui::DefaultTerminal,
+    bench: &mut Bench,
+    tryout: &mut Tryout,
+    title: &str,
+    mut write: impl FnMut(&ferrocnc::tryout::measured::Measured, &mut Tryout),
+) -> Result<()> {
+    let ends = Arc::new(AtomicBool::new(false));
+    for signal in [SIGTERM, SIGHUP] {
+        signal_hook::flag::register(signal, ends.clone()).context("no signals")?;
+    }
+    let begin = Instant::now();
+    let mut drawn = None;
+    while !ends.load(Ordering::Relaxed) {
+        let now = begin.elapsed();
+        while event::poll(Duration::ZERO)? {
+            let Event::Key(pressed) = event::read()? else {
+                continue;
+            };
+            let Some(key) = keys::key(&pressed, tryout.typed().is_some()) else {
+                continue;
+            };
+            match tryout.key(key, now) {
+                Some(Act::Quit) => return Ok(()),
+                Some(Act::Write(found)) => write(&found, tryout),
+                None => {}
+            }
+        }
+        match bench.exchange(&tryout.order()) {
+            Some(status) => tryout.answer(&status, now),
+            None => tryout.silence(now),
+        }
+        if let Some(error) = bench.refused() {
+            tryout.say(error.to_string());
+        }
+        if drawn.is_none_or(|last| now.saturating_sub(last) >= DRAWN) {
+            terminal.draw(|frame| screen::draw(frame, tryout, title))?;
+            drawn = Some(now);
+        }
+        std::thread::sleep((now + EVERY).saturating_sub(begin.elapsed()));
+    }
+    Ok(())
+}
