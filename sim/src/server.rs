@@ -16,8 +16,8 @@
 //! dead: after [`Options::silence`] of the machine's time the board runs on by itself for
 //! [`Options::orphan_clocks`].
 //!
-//! *Free*: time runs as fast as it can, or paced. It may wait for a host that has to be in time, on a
-//! computer that is not: [`Options::alone`].
+//! *Free*: time runs as fast as it can, or paced. It may wait for a host that has to be in time, on
+//! a computer that is not: [`Options::alone`].
 //!
 //! The only inspection of a datagram is whether it is an exchange, or reads.
 
