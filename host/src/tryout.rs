@@ -119,8 +119,12 @@ pub enum Key {
     Move(Way, Edge),
     /// Switches the selected output, or takes the number that was typed.
     Enter,
+    /// This row.
+    Select(Row),
     /// Arms, or disarms.
     Arm,
+    /// Disarms, and never arms.
+    Off,
     /// Stops motion and switches the output off; still armed.
     Stop,
     /// Counts from here.
@@ -242,6 +246,16 @@ impl Tryout {
         self.rows.get(self.selected).copied()
     }
 
+    /// In a word: may anything move, and is the board there?
+    pub fn state(&self) -> &'static str {
+        match (self.status(), self.arming) {
+            (None, _) => "NO ANSWER",
+            (Some(_), Arming::Armed) => "ARMED",
+            (Some(_), Arming::Asked { .. }) => "ARMING",
+            (Some(_), Arming::Off) => "OFF",
+        }
+    }
+
     /// May anything move?
     pub fn arming(&self) -> Arming {
         self.arming
@@ -323,7 +337,13 @@ impl Tryout {
         match key {
             Key::Previous => self.select(self.selected.saturating_sub(1)),
             Key::Next => self.select(self.selected + 1),
+            Key::Select(row) => {
+                if let Some(row) = self.rows.iter().position(|it| *it == row) {
+                    self.select(row);
+                }
+            }
             Key::Enter => self.switch(now),
+            Key::Off => self.off("off"),
             Key::Arm => {
                 let last = self.last_arm.replace(now);
                 let held = last.is_some_and(|last| now.saturating_sub(last) < HELD);

@@ -3,7 +3,7 @@
 //! If this program stands still or dies, the board's watchdog stops the axes softly and closes its
 //! outputs. When it ends, the settings are put back and the session is given back.
 
-use super::{LOST, Layout, Order};
+use super::{LOST, Layout, Order, Tryout};
 use crate::client::{Client, ClientError, Identity, Session};
 use std::time::Duration;
 use wire::describe::Channels;
@@ -152,9 +152,15 @@ impl Bench {
         }
     }
 
-    /// Why the board, which can be reached, does not take what it is told: another program has it.
-    pub fn refused(&mut self) -> Option<ClientError> {
-        self.why.take()
+    /// Tells the board what is wanted of it, and tells that what came of it.
+    pub fn turn(&mut self, tryout: &mut Tryout, now: Duration) {
+        match self.exchange(&tryout.order()) {
+            Some(status) => tryout.answer(&status, now),
+            None => tryout.silence(now),
+        }
+        if let Some(error) = self.why.take() {
+            tryout.say(error.to_string());
+        }
     }
 
     /// Tells the board; what it answers, if it does in time. A session that was lost is taken

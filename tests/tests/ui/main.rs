@@ -20,8 +20,9 @@ impl Server {
     /// In an empty folder, so that no checkout is needed.
     fn start() -> Self {
         let mut command = Command::new(program("ferrocnc"));
+        // As long as a busy computer may take for an exchange.
         command
-            .args(["ui", "--no-open"])
+            .args(["ui", "--no-open", "--patience", "1000"])
             .current_dir(std::env::temp_dir());
         let mut child = command.stdout(Stdio::piped()).spawn().expect("the tool");
         let mut line = String::new();
@@ -196,6 +197,85 @@ fn the_doctor_lists_what_it_found() {
     browser.until("findings", || browser.all(".findings li").len() > 10);
     in_order(&browser);
     browser.picture("doctor");
+}
+
+/// A number that the board's control tells of it.
+fn told(board: &Simulator, command: &str, name: &str) -> String {
+    let said = control(board.control(), command);
+    let begins = format!("{name}=");
+    let word = said
+        .split_whitespace()
+        .find_map(|it| it.strip_prefix(&*begins));
+    word.unwrap_or_else(|| panic!("no {name} in {said}"))
+        .to_owned()
+}
+
+/// Pulses at the pins of the first motor.
+fn steps(board: &Simulator) -> i64 {
+    let counts = told(board, "counts", "counts");
+    let first = counts.split(',').next();
+    first.and_then(|n| n.parse().ok()).expect("a count")
+}
+
+#[test]
+fn on_the_bench_an_axis_moves_while_its_button_is_held_and_only_one_page_has_the_board() {
+    // Its time passes with the exchanges, so a busy computer is not too late for it.
+    let board = Simulator::twin(&["--mode", "lockstep", "--period-ns", "5000000"]);
+    let is_open = || told(&board, "pins", "gate") == "1";
+    let (server, browser) = (Server::start(), Browser::start("bench"));
+    let bench = server.page(&format!("bench/{}", board.udp()));
+    browser.open(&bench);
+    browser.says("nothing is driven before");
+    assert!(!is_open());
+    browser.click(&browser.button("Arm"));
+    browser.says("ARMED");
+    assert!(is_open());
+    in_order(&browser);
+
+    let outputs = || told(&board, "pins", "gpio_out");
+    let off = outputs();
+    let flood = browser.button("flood on for 3 s");
+    browser.until("the output is on", || {
+        browser.click(&flood);
+        outputs() != off
+    });
+    browser.says("flood is off again");
+    assert_eq!(outputs(), off);
+
+    // A key that is held, until it is released.
+    let key = |kind: &str| {
+        let script = format!(
+            "document.querySelector('[aria-label=\"Jog x plus\"]').dispatchEvent(\
+             new KeyboardEvent('{kind}', {{ key: ' ', bubbles: true }}))"
+        );
+        browser.js(&script, &[]);
+    };
+    key("keydown");
+    browser.until("it moves", || steps(&board) > 5);
+    browser.picture("bench");
+    key("keyup");
+    browser.says("released");
+    browser.until("it stands", || {
+        let at = steps(&board);
+        control(board.control(), "run-ms 20");
+        at == steps(&board)
+    });
+
+    // Another page does not get the board, and can neither move nor release it.
+    let second = Browser::start("bench-second");
+    second.open(&bench);
+    second.says("is driven by");
+    assert!(second.all(".jog").is_empty());
+    browser.says("ARMED");
+    let foreign = "return fetch('api/bench/keys', { method: 'POST', \
+                   headers: { 'Content-Type': 'application/json' }, \
+                   body: JSON.stringify({ hold: '0', keys: ['off'] }) }).then((it) => it.status)";
+    assert_eq!(second.js(foreign, &[]), 409);
+
+    // When the first has left it, the second has it.
+    browser.open(&server.page("doctor"));
+    second.says("nothing is driven before");
+    browser.until("the gate is closed", || !is_open());
 }
 
 #[test]

@@ -8,8 +8,11 @@ mod keys;
 mod machine;
 mod screen;
 
+pub(crate) use machine::{layout, name};
+
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use ferrocnc::client::{Client, Identity};
 use ferrocnc::selftest::run::{BusyError, idle};
 use ferrocnc::tryout::board::Bench;
 use ferrocnc::tryout::{Act, Tryout};
@@ -27,9 +30,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// Between two exchanges: a fortieth of the watchdog's time.
-const EVERY: Duration = Duration::from_millis(5);
+pub(crate) const EVERY: Duration = Duration::from_millis(5);
 /// Between two drawings.
-const DRAWN: Duration = Duration::from_millis(50);
+pub(crate) const SHOWN: Duration = Duration::from_millis(50);
 
 /// Switch one output, jog one axis, turn an encoder, look at the inputs: by hand, in a terminal.
 /// Nothing is driven before the key `a`. Refused while another program owns the board.
@@ -51,19 +54,12 @@ pub(crate) fn run(arguments: &TestArguments, as_json: bool) -> Result<()> {
     if as_json || !stdout().is_terminal() {
         bail!("this draws on a terminal; ferrocnc watch BOARD --json is for other programs");
     }
-    let mut client = crate::open(&arguments.address)?;
-    let identity = client.identify()?;
-    client.check(&identity)?;
-    match idle(&mut client, &identity) {
-        Ok(()) => {}
-        Err(BusyError::State(state)) => bail!("the board is {state}; this needs it at rest"),
-        Err(error) => return Err(error.into()),
-    }
+    let (client, identity) = ready(&arguments.address)?;
     let patience = Duration::from_millis(arguments.patience);
     let machine = arguments.machine.as_deref();
     let mut machine = machine.map(machine::File::read).transpose()?;
-    let layout = machine::layout(&identity, machine.as_ref());
-    let title = format!("{} at {}", machine::name(&identity), client.address());
+    let layout = layout(&identity, machine.as_ref());
+    let title = format!("{} at {}", name(&identity), client.address());
     // Asks the terminal, which may take its time: before the board waits for us.
     let tells_release = supports_keyboard_enhancement().unwrap_or(false);
     let mut bench = Bench::take(client, &identity, &layout, patience)?;
@@ -101,6 +97,18 @@ pub(crate) fn run(arguments: &TestArguments, as_json: bool) -> Result<()> {
     ended
 }
 
+/// A board that no other program drives, at rest.
+pub(crate) fn ready(address: &str) -> Result<(Client, Identity)> {
+    let mut client = crate::open(address)?;
+    let identity = client.identify()?;
+    client.check(&identity)?;
+    match idle(&mut client, &identity) {
+        Ok(()) => Ok((client, identity)),
+        Err(BusyError::State(state)) => bail!("the board is {state}; this needs it at rest"),
+        Err(error) => Err(error.into()),
+    }
+}
+
 fn drive(
     terminal: &mut ratatui::DefaultTerminal,
     bench: &mut Bench,
@@ -129,14 +137,8 @@ fn drive(
                 None => {}
             }
         }
-        match bench.exchange(&tryout.order()) {
-            Some(status) => tryout.answer(&status, now),
-            None => tryout.silence(now),
-        }
-        if let Some(error) = bench.refused() {
-            tryout.say(error.to_string());
-        }
-        if drawn.is_none_or(|last| now.saturating_sub(last) >= DRAWN) {
+        bench.turn(tryout, now);
+        if drawn.is_none_or(|last| now.saturating_sub(last) >= SHOWN) {
             terminal.draw(|frame| screen::draw(frame, tryout, title))?;
             drawn = Some(now);
         }

@@ -1,11 +1,12 @@
 //! `ferrocnc ui`: the tool's answers as pages in a browser, from a server on this computer.
 //!
 //! It decides nothing: each answer of the [`api`] is what a command prints with `--json`, and the
-//! pages show it. It takes no session and writes no file. It listens at 127.0.0.1 only, and answers
-//! only a page that it has sent itself ([`guard`]).
+//! pages show it. It writes no file, and takes no session but for [`bench`]. It listens at 127.0.0.1
+//! only, and answers only a page that it has sent itself ([`guard`]).
 
 mod answer;
 mod api;
+mod bench;
 mod guard;
 mod live;
 mod web;
@@ -19,6 +20,7 @@ use guard::Guard;
 use serde_json::json;
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::process::{Command, Stdio};
+use std::time::Duration;
 use tokio::net::TcpListener;
 
 /// Boards that are asked at once: every page keeps two streams open, and a browser six.
@@ -35,6 +37,10 @@ pub(crate) struct Ui {
     /// Print the address only, and open no browser.
     #[arg(long)]
     no_open: bool,
+    /// Bench: how long to wait for one answer of the board. Three in a row that are missing switch
+    /// everything off.
+    #[arg(long, value_name = "MS", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=1000))]
+    patience: u64,
 }
 
 pub(crate) fn run(arguments: &Ui, as_json: bool) -> Result<()> {
@@ -66,13 +72,13 @@ async fn serve(arguments: &Ui, board: Option<&str>, as_json: bool) -> Result<()>
     if !arguments.no_open && open(&address).is_err() {
         eprintln!("ferrocnc: no browser opens (xdg-open is missing): open the address yourself");
     }
-    let pages = pages(guard);
+    let pages = pages(guard, Duration::from_millis(arguments.patience));
     axum::serve(listener, pages).await?;
     bail!("the server has ended")
 }
 
 /// What there is, behind the guard.
-fn pages(guard: Guard) -> Router {
+fn pages(guard: Guard, patience: Duration) -> Router {
     let answers = Router::new()
         .route("/discover", get(api::discover))
         .route("/describe", get(api::describe))
@@ -85,6 +91,7 @@ fn pages(guard: Guard) -> Router {
         .route("/config/pinout", post(api::config_pinout))
         .route("/config/svg", post(api::config_svg))
         .route("/config/import", post(api::config_import))
+        .merge(bench::routes(patience))
         .fallback(web::missing);
     let base = guard.token();
     Router::new()

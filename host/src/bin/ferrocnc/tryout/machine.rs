@@ -21,7 +21,7 @@ const STOPS_IN: f64 = 0.4;
 const UNKNOWN_TIMING: [u32; 4] = [5_000, 5_000, 20_000, 20_000];
 
 /// A machine's file.
-pub(super) struct File {
+pub(crate) struct File {
     path: PathBuf,
     machine: CncMachine,
 }
@@ -94,7 +94,7 @@ impl File {
 }
 
 /// The board's name.
-pub(super) fn name(identity: &Identity) -> String {
+pub(crate) fn name(identity: &Identity) -> String {
     let name = identity
         .blob()
         .text(Kind::Configuration, 0)
@@ -103,7 +103,7 @@ pub(super) fn name(identity: &Identity) -> String {
 }
 
 /// Names and pins of the board, and what the machine's file says of its motors.
-pub(super) fn layout(identity: &Identity, file: Option<&File>) -> Layout {
+pub(crate) fn layout(identity: &Identity, file: Option<&File>) -> Layout {
     let blob = identity.blob();
     let channels = identity.describe.channels;
     let lines = |kind: Kind, letter: u8, count: u8, keys: &[&str]| -> Vec<Labelled> {

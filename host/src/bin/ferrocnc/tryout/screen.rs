@@ -25,13 +25,15 @@ pub(super) fn draw(frame: &mut Frame<'_>, tryout: &Tryout, title: &str) {
         Constraint::Length(5),
     ])
     .areas(frame.area());
-    let (state, colour) = match (tryout.status(), tryout.arming()) {
-        (None, _) => ("NO ANSWER", Color::Red),
-        (Some(_), Arming::Armed) => ("ARMED", Color::Red),
-        (Some(_), Arming::Asked { .. }) => ("ARMING", Color::Yellow),
-        (Some(_), Arming::Off) => ("OFF", Color::Green),
+    let colour = match (tryout.status(), tryout.arming()) {
+        (None, _) | (Some(_), Arming::Armed) => Color::Red,
+        (Some(_), Arming::Asked { .. }) => Color::Yellow,
+        (Some(_), Arming::Off) => Color::Green,
     };
-    let state = text::Span::styled(state, Style::new().fg(colour).add_modifier(Modifier::BOLD));
+    let state = text::Span::styled(
+        tryout.state(),
+        Style::new().fg(colour).add_modifier(Modifier::BOLD),
+    );
     let head_line = text::Line::from(vec![format!("{title}   ").into(), state]);
     frame.render_widget(Paragraph::new(head_line), head);
     let [left, right] =

@@ -21,14 +21,14 @@ const PAUSE: Duration = Duration::from_millis(500);
 const WAITING: usize = 16;
 
 /// Events for a page.
-type Events = Sse<KeepAliveStream<ReceiverStream<Result<Event, Infallible>>>>;
+pub(super) type Events = Sse<KeepAliveStream<ReceiverStream<Result<Event, Infallible>>>>;
 
 /// Where a command puts its lines.
-struct Page(Sender<Result<Event, Infallible>>);
+pub(super) struct Page(Sender<Result<Event, Infallible>>);
 
 impl Page {
     /// An error if the page has gone.
-    fn send(&self, kind: &str, value: &Value) -> Result<()> {
+    pub(super) fn send(&self, kind: &str, value: &Value) -> Result<()> {
         let event = Event::default().event(kind).data(value.to_string());
         Ok(self.0.blocking_send(Ok(event))?)
     }
@@ -67,7 +67,7 @@ pub(super) async fn log(Query(at): Query<At>) -> Events {
 }
 
 /// Repeats a command that only ends with an error, until the page has gone.
-fn stream(mut command: impl FnMut(&Page) -> Result<()> + Send + 'static) -> Events {
+pub(super) fn stream(mut command: impl FnMut(&Page) -> Result<()> + Send + 'static) -> Events {
     let (sender, receiver): (_, Receiver<_>) = channel(WAITING);
     tokio::task::spawn_blocking(move || {
         let page = Page(sender);

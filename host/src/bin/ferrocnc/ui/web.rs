@@ -31,6 +31,7 @@ const FILES: &[(&str, &str, &str)] = files![
     "configurator.js": JS,
     "card.js": JS,
     "doctor.js": JS,
+    "bench.js": JS,
     "vendor/preact-htm.js": JS,
     "vendor/LICENSE-htm": PLAIN,
     "vendor/LICENSE-preact": PLAIN,

@@ -1,6 +1,7 @@
 // The pages and the way between them: the part of the address behind # is page/board.
 
 import { html, render, useEffect, useRef, useState } from "./vendor/preact-htm.js";
+import { Bench } from "./bench.js";
 import { Boards } from "./boards.js";
 import { Configurator } from "./configurator.js";
 import { Dashboard } from "./dashboard.js";
@@ -10,6 +11,7 @@ const PAGES = {
   boards: ["Boards", Boards],
   dashboard: ["Dashboard", Dashboard],
   configurator: ["Configurator", Configurator],
+  bench: ["Bench", Bench],
   doctor: ["Doctor", Doctor],
 };
 
