@@ -1,8 +1,8 @@
 //! `ferrocnc ui`: the tool's answers as pages in a browser, from a server on this computer.
 //!
 //! It decides nothing: each answer of the [`api`] is what a command prints with `--json`, and the
-//! pages show it. It writes no file, and takes no session but for [`bench`]. It listens at 127.0.0.1
-//! only, and answers only a page that it has sent itself ([`guard`]).
+//! pages show it. It writes no file, and takes no session but for [`bench`]. It listens at
+//! 127.0.0.1 only, and answers only a page that it has sent itself ([`guard`]).
 
 mod answer;
 mod api;
