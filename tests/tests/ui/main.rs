@@ -199,6 +199,69 @@ fn the_doctor_lists_what_it_found() {
     browser.picture("doctor");
 }
 
+#[test]
+fn a_machine_is_asked_for_drawn_and_the_files_shown_are_those_that_the_command_writes() {
+    let (server, browser) = (Server::start(), Browser::start("machine"));
+    browser.open(&server.page("machine"));
+    browser.until("the samples are listed", || {
+        !browser.all("option").is_empty()
+    });
+    browser.click(&browser.button("Make it"));
+    browser.says("LinuxCNC's files can be made.");
+    browser.until("the card is drawn", || browser.all(".pin").len() >= 128);
+    in_order(&browser);
+
+    // An answer goes into the text, and its comment stays.
+    let pitch = "fieldset:nth-of-type(2) label:nth-of-type(4) input";
+    assert_eq!(browser.value_of(pitch), "5");
+    let answer = |text: &str| {
+        browser.fill(pitch, text);
+        let left = format!(
+            "document.querySelector('{pitch}').dispatchEvent(new Event('change', {{ bubbles: true }}))"
+        );
+        browser.js(&left, &[]);
+    };
+    answer("4");
+    browser.until("the answer is in the text", || {
+        browser.value_of("textarea").contains("\npitch = 4 ")
+    });
+    browser.picture("machine");
+    answer("four");
+    browser.until("it is refused", || !browser.all("p.problem").is_empty());
+    assert!(browser.value_of("textarea").contains("\npitch = 4 "));
+
+    // A line that is wrong, and taken back.
+    let good = browser.value_of("textarea");
+    browser.fill("textarea", &good.replacen("pitch = 4 ", "pitch = 0 ", 1));
+    browser.says("REFUSED");
+    browser.fill("textarea", &format!("# mine\n{good}"));
+    browser.says("LinuxCNC's files can be made.");
+
+    browser.click(&browser.button("Download machine.toml"));
+    let folder = root().join("target/ui/machine");
+    let _none = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let text = browser.downloaded("machine.toml");
+    assert!(text.starts_with("# mine\n"));
+    std::fs::write(folder.join("machine.toml"), text).expect("a file");
+    let mut write = Command::new(program("ferrocnc"));
+    write
+        .args(["machine", "write", "--yes"])
+        .current_dir(&folder);
+    assert!(write.status().expect("the tool").success());
+    let shown = "const all = [...document.querySelectorAll('details:has(pre)')]; \
+                 return all.map((it) => [it.querySelector('summary').textContent, \
+                                         it.querySelector('pre').textContent])";
+    let shown = browser.js(shown, &[]);
+    let shown = shown.as_array().expect("files");
+    assert!(shown.len() >= 5, "{}", shown.len());
+    for file in shown {
+        let (name, text) = (file[0].as_str(), file[1].as_str());
+        let written = std::fs::read_to_string(folder.join(name.expect("a name")));
+        assert_eq!(text, written.ok().as_deref(), "{name:?}");
+    }
+}
+
 /// A number that the board's control tells of it.
 fn told(board: &Simulator, command: &str, name: &str) -> String {
     let said = control(board.control(), command);

@@ -1,6 +1,9 @@
 //! `ferrocnc machine`: a machine for LinuxCNC. It needs no board.
 
 mod new;
+mod page;
+
+pub(crate) use page::{Answer, Sample, judged, put, questions, samples};
 
 use crate::consent;
 use crate::text::{drawn, say};
@@ -111,30 +114,34 @@ fn look(file: &Path, discard: bool) -> Result<Told> {
         error.remedy = "`ferrocnc machine new` writes one".to_owned();
         error
     })?;
-    let machine: CncMachine = match read(&file.display().to_string(), &text) {
+    Ok(look_at(file, &text, &Beside::new(file), discard))
+}
+
+/// The same of a text, with these files beside it.
+fn look_at(file: &Path, text: &str, files: &dyn Files, discard: bool) -> Told {
+    let machine: CncMachine = match read(&file.display().to_string(), text) {
         Ok(machine) => machine,
         Err(error) => {
-            return Ok(Told {
+            return Told {
                 machine: None,
                 plan: None,
                 bad: vec![error],
                 notes: Vec::new(),
-            });
+            };
         }
     };
     let notes = check(&machine).notes;
-    let files = Beside::new(file);
-    let made = plan(&machine, &files, &Folder::beside(file), discard);
+    let made = plan(&machine, files, &Folder::beside(file), discard);
     let (plan, bad) = match made {
         Ok(plan) => (Some(plan), Vec::new()),
         Err(bad) => (None, bad),
     };
-    Ok(Told {
+    Told {
         machine: Some(machine),
         plan,
         bad,
         notes,
-    })
+    }
 }
 
 fn to_json(kind: &str, error: &Error) -> Value {

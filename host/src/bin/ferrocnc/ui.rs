@@ -91,6 +91,10 @@ fn pages(guard: Guard, patience: Duration) -> Router {
         .route("/config/pinout", post(api::config_pinout))
         .route("/config/svg", post(api::config_svg))
         .route("/config/import", post(api::config_import))
+        .route("/machine/samples", get(api::machine_samples))
+        .route("/machine/new", post(api::machine_new))
+        .route("/machine/check", post(api::machine_check))
+        .route("/machine/put", post(api::machine_put))
         .merge(bench::routes(patience))
         .fallback(web::missing);
     let base = guard.token();

@@ -32,17 +32,17 @@ pub(crate) struct New {
 }
 
 /// A question: which value it is about, and what it asks.
-struct Question {
-    table: &'static str,
-    key: &'static str,
-    asks: &'static str,
+pub(super) struct Question {
+    pub(super) table: &'static str,
+    pub(super) key: &'static str,
+    pub(super) asks: &'static str,
 }
 
 const fn question(table: &'static str, key: &'static str, asks: &'static str) -> Question {
     Question { table, key, asks }
 }
 
-const MACHINE: [Question; 7] = [
+pub(super) const MACHINE: [Question; 7] = [
     question("", "name", "Its name, of its files"),
     question("", "units", "Its unit, mm or inch"),
     question("", "gui", "User interface"),
@@ -60,7 +60,7 @@ const MACHINE: [Question; 7] = [
     ),
 ];
 
-const AXIS: [Question; 9] = [
+pub(super) const AXIS: [Question; 9] = [
     question(
         "[[axis]]",
         "motor_steps",
@@ -102,7 +102,7 @@ pub(crate) fn run(new: &New) -> Result<()> {
     ))
 }
 
-fn sample(name: &str) -> Result<String> {
+pub(super) fn sample(name: &str) -> Result<String> {
     let names = TEMPLATES.map(|(name, _, _)| name).join(", ");
     let text =
         template(name).with_context(|| format!("there is no sample {name}, only {names}"))?;
@@ -124,7 +124,13 @@ fn taken(new: &New, name: &str) -> Result<String> {
 }
 
 /// A value as it may be typed: a text needs no quotes.
-fn put(text: &str, table: &str, number: usize, key: &str, answer: &str) -> Result<String> {
+pub(super) fn put(
+    text: &str,
+    table: &str,
+    number: usize,
+    key: &str,
+    answer: &str,
+) -> Result<String> {
     let slot = Slot { table, number, key };
     let old = slot.get(text).unwrap_or_default();
     let is_bare = !answer.starts_with(['"', '[', '{']);
@@ -179,13 +185,7 @@ fn asked(input: &mut impl BufRead, output: &mut impl Write) -> Result<String> {
         one(input, output, &mut text, (table, 0, key), asks)?;
     }
     let mut number = 0;
-    let letter = |number| Slot {
-        table: "[[axis]]",
-        number,
-        key: "letter",
-    };
-    while let Some(name) = letter(number).get(&text) {
-        let name = name.trim_matches('"').to_uppercase();
+    while let Some(name) = letter(&text, number) {
         for Question { table, key, asks } in AXIS {
             let asks = format!("{name}: {asks}");
             one(input, output, &mut text, (table, number, key), &asks)?;
@@ -193,6 +193,17 @@ fn asked(input: &mut impl BufRead, output: &mut impl Write) -> Result<String> {
         number += 1;
     }
     Ok(text)
+}
+
+/// The letter of an axis, if there are so many.
+pub(super) fn letter(text: &str, number: usize) -> Option<String> {
+    let slot = Slot {
+        table: "[[axis]]",
+        number,
+        key: "letter",
+    };
+    let letter = slot.get(text)?;
+    Some(letter.trim_matches('"').to_uppercase())
 }
 
 /// One value of the file.

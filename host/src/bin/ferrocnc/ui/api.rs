@@ -3,7 +3,7 @@
 use super::answer::{Answer, Refusal, answered};
 use crate::config::{self, New};
 use crate::describe::Description;
-use crate::{discover, doctor};
+use crate::{discover, doctor, machine};
 use axum::Json;
 use axum::extract::Query;
 use axum::http::header::CONTENT_TYPE;
@@ -127,4 +127,39 @@ pub(super) async fn config_import(Json(foreign): Json<Foreign>) -> Answer {
     Ok(Json(
         json!({ "name": name, "toml": imported.toml, "notes": imported.notes }),
     ))
+}
+
+/// The samples of `ferrocnc machine new`.
+pub(super) async fn machine_samples() -> Answer {
+    Ok(Json(machine::samples()))
+}
+
+/// `ferrocnc machine new --from`.
+pub(super) async fn machine_new(Json(sample): Json<machine::Sample>) -> Answer {
+    let toml = answered(move || sample.text()).await?;
+    Ok(Json(json!({ "toml": toml })))
+}
+
+/// A machine's file that is only on the page.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MachineText {
+    toml: String,
+}
+
+/// The questions of `ferrocnc machine new`, `ferrocnc machine check`, and what `ferrocnc machine
+/// write` would write.
+pub(super) async fn machine_check(Json(text): Json<MachineText>) -> Answer {
+    let judged = answered(move || {
+        let mut judged = machine::judged(&text.toml);
+        judged["questions"] = machine::questions(&text.toml).into();
+        Ok(judged)
+    });
+    Ok(Json(judged.await?))
+}
+
+/// An answer to one of them.
+pub(super) async fn machine_put(Json(answer): Json<machine::Answer>) -> Answer {
+    let toml = answered(move || machine::put(&answer)).await?;
+    Ok(Json(json!({ "toml": toml })))
 }

@@ -32,6 +32,8 @@ const FILES: &[(&str, &str, &str)] = files![
     "card.js": JS,
     "doctor.js": JS,
     "bench.js": JS,
+    "machine.js": JS,
+    "files.js": JS,
     "vendor/preact-htm.js": JS,
     "vendor/LICENSE-htm": PLAIN,
     "vendor/LICENSE-preact": PLAIN,

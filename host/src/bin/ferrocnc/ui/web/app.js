@@ -6,14 +6,19 @@ import { Boards } from "./boards.js";
 import { Configurator } from "./configurator.js";
 import { Dashboard } from "./dashboard.js";
 import { Doctor } from "./doctor.js";
+import { Machine } from "./machine.js";
 
 const PAGES = {
   boards: ["Boards", Boards],
   dashboard: ["Dashboard", Dashboard],
   configurator: ["Configurator", Configurator],
+  machine: ["Machine", Machine],
   bench: ["Bench", Bench],
   doctor: ["Doctor", Doctor],
 };
+
+/** Pages of files. */
+const WITHOUT_BOARD = ["configurator", "machine"];
 
 function where() {
   const [page, ...board] = location.hash.slice(1).split("/");
@@ -55,7 +60,7 @@ function App() {
 
 /** The board stays the same from page to page, where a page has one. */
 function link(page, board) {
-  return board && page !== "configurator" ? `#${page}/${board}` : `#${page}`;
+  return board && !WITHOUT_BOARD.includes(page) ? `#${page}/${board}` : `#${page}`;
 }
 
 render(html`<${App} />`, document.body);

@@ -5,10 +5,9 @@
 import { html, useEffect, useRef, useState } from "./vendor/preact-htm.js";
 import { ask, tell, text } from "./answers.js";
 import { Card, spoken } from "./card.js";
-import { Field, Problem, useAnswer } from "./parts.js";
+import { download, lineOf, show } from "./files.js";
+import { Field, Problem, STILL_MS, useAnswer } from "./parts.js";
 
-/** After the last key, before the text is checked. */
-const STILL_MS = 200;
 const COUNTS = ["stepgens", "encoders", "pwms", "inputs", "outputs"];
 /** The card that the README names first. */
 const USUAL = "5a-75b-8.0";
@@ -180,27 +179,4 @@ function Verdict({ verdict, goto }) {
       ${verdict.problem}${verdict.remedy && html`. ${verdict.remedy}`}</span>
     ${verdict.line && html`<button type="button" onClick=${() => goto(verdict.line)}>
       Line ${verdict.line}</button>`}</div>`;
-}
-
-/** Selects a part of the text, and scrolls to it. */
-function show(area, at, length) {
-  area.focus();
-  area.setSelectionRange(at, at + length);
-  const before = area.value.slice(0, at).split("\n").length;
-  const height = area.scrollHeight / area.value.split("\n").length;
-  area.scrollTop = Math.max(0, (before - 5) * height);
-}
-
-/** Where a line begins, and its length. */
-function lineOf(toml, number) {
-  const lines = toml.split("\n");
-  const at = lines.slice(0, number - 1).reduce((sum, line) => sum + line.length + 1, 0);
-  return [at, (lines[number - 1] ?? "").length];
-}
-
-function download(name, content, kind) {
-  const url = URL.createObjectURL(new Blob([content], { type: kind }));
-  const link = Object.assign(document.createElement("a"), { href: url, download: name });
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(url), 10_000);
 }

@@ -2,6 +2,9 @@
 
 import { html, useEffect, useState } from "./vendor/preact-htm.js";
 
+/** After the last key, before a text is checked. */
+export const STILL_MS = 200;
+
 /** The error of what was asked last. */
 export function Problem({ error }) {
   return error && html`<p class="problem" role="alert">${error}</p>`;
