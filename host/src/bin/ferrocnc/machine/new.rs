@@ -141,6 +141,10 @@ pub(super) fn put(
     let new = slot.set(text, &value);
     match read("answer", &new) {
         Ok(_) => Ok(new),
+        // The answer has broken the text, so no key is to blame.
+        Err(error) if error.key.is_empty() => {
+            bail!("{answer} is no value of {key}: write it as {old} is written")
+        }
         Err(error) => bail!("{} {}; {}", error.value, error.problem, error.remedy),
     }
 }
