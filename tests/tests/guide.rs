@@ -36,10 +36,11 @@ const HERE: [&str; 15] = [
 ];
 
 /// Commands that another test runs: their beginning, and the test.
-const ELSEWHERE: [(&str, &str); 15] = [
+const ELSEWHERE: [(&str, &str); 16] = [
     ("ferrocnc machine ", "host/tests/pages.rs"),
     ("ferrocnc-sim --backend model ", "tests/tests/machines.rs"),
     ("linuxcnc mill.ini", "tests/tests/machines.rs"),
+    ("linuxcnc mill-twin.ini", "tests/tests/machines.rs"),
     ("ferrocnc config new ", "host/tests/pages.rs"),
     ("ferrocnc config check ", "host/tests/pages.rs"),
     ("ferrocnc config show ", "host/tests/pages.rs"),

@@ -12,8 +12,8 @@ const RELEASE: &str = "bookworm";
 /// What that Debian has before our packages come.
 const BEFORE: &str = "man-db";
 
-/// Of the example mill, what is not in the sample: what runs it without a screen.
-const HEADLESS: [&str; 4] = ["headless.ini", "headless.py", "record.hal", "run.py"];
+/// The display of a machine that the tool has written: it homes all axes and runs a program.
+const DISPLAY: &str = "tests/linuxcnc/machine/display.py";
 
 /// What the script is told, in this order. `use` comes with network, HAL and processes of its own:
 /// other tests have the same ports, and HAL's memory has the same keys everywhere.
@@ -30,15 +30,13 @@ pub fn check(packages: &[PathBuf]) -> Result<usize> {
     let mut hook = |text: String| {
         install.arg(format!("--customize-hook={text}"));
     };
-    hook("mkdir -p \"$1/packages/mill\"".to_owned());
+    hook("mkdir -p \"$1/packages\"".to_owned());
     let mut files: Vec<PathBuf> = packages.to_vec();
     files.push(root().join("tests/packages/fresh.sh"));
     hook(copy_in(&files, "/packages"));
     let mill = root().join("host/examples/mill");
-    hook(copy_in(
-        &HEADLESS.map(|file| mill.join(file)),
-        "/packages/mill",
-    ));
+    hook(copy_in(&[mill], "/packages"));
+    hook(copy_in(&[root().join(DISPLAY)], "/packages/mill"));
     for part in PARTS {
         hook(part.to_owned());
     }
