@@ -62,7 +62,7 @@ fn the_first_machine_is_described_checked_and_drawn() {
 
 #[test]
 fn a_machine_of_one_file_is_made_checked_and_written() {
-    assert_eq!(run("machine"), 5);
+    assert_eq!(run("machine"), 6);
 }
 
 #[test]

@@ -16,6 +16,7 @@ pub mod plan;
 pub mod plant;
 pub mod read;
 pub mod template;
+pub mod twin;
 pub mod units;
 pub mod wiring;
 

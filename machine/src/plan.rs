@@ -9,6 +9,7 @@ use crate::ini::{
     CUSTOM_HAL, CUSTOM_POST_GUI_HAL, Entry, MAIN_HAL, POST_GUI_HAL, TOOL_TABLE, wanted,
 };
 use crate::model::{BoardSource, CncMachine};
+use crate::twin::{self, TWIN_HAL};
 use crate::wiring::wiring;
 use ferrocnc_config::board::Platforms;
 use ferrocnc_config::pinout::{Pinout, svg};
@@ -67,13 +68,22 @@ pub struct Plan {
     pub conflicts: Vec<Error>,
 }
 
-/// Makes the plan, or says everything that is in the way. With `discard`, lines that were written
-/// into generated files are lost.
+/// What the user wants besides the files.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Wishes {
+    /// Lines that were written into generated files are lost.
+    pub discard: bool,
+    /// A second INI file, which starts the machine on the simulated board. One that is there is
+    /// kept up without this wish.
+    pub twin: bool,
+}
+
+/// Makes the plan, or says everything that is in the way.
 pub fn plan(
     machine: &CncMachine,
     files: &dyn Files,
     platforms: &dyn Platforms,
-    discard: bool,
+    wishes: Wishes,
 ) -> Result<Plan, Vec<Error>> {
     let found = check(machine);
     if !found.bad.is_empty() {
@@ -84,7 +94,7 @@ pub fn plan(
     if !missing.is_empty() {
         return Err(missing);
     }
-    write_files(machine, files, discard, &mut plan).map_err(|error| vec![error])?;
+    write_files(machine, files, wishes, &mut plan).map_err(|error| vec![error])?;
     plan.changes
         .retain(|change| change.before.as_ref() != Some(&change.after));
     Ok(plan)
@@ -138,9 +148,10 @@ fn board(
 fn write_files(
     machine: &CncMachine,
     files: &dyn Files,
-    discard: bool,
+    wishes: Wishes,
     plan: &mut Plan,
 ) -> Result<(), Error> {
+    let discard = wishes.discard;
     let main = files.text(MAIN_HAL)?;
     let before = entries(MAIN_HAL, main.as_deref(), discard)?;
     let ini = format!("{}.ini", machine.name);
@@ -151,7 +162,8 @@ fn write_files(
         ours,
         conflicts,
     } = edit(text, &before, &wanted(machine));
-    let told = conflicts.iter().map(|it| conflict(&ini, it));
+    let conflicts = conflicts.iter().filter(|it| it.wanted.key != PICKERS);
+    let told = conflicts.map(|it| conflict(&ini, it));
     plan.conflicts.extend(told);
     plan.changes.push(Change {
         name: MAIN_HAL.to_owned(),
@@ -187,12 +199,56 @@ fn write_files(
         }
     }
     draw(machine, files, discard, plan)?;
+    let twin_ini = format!("{}-twin.ini", machine.name);
+    let there_too = files.text(&twin_ini)?;
+    if wishes.twin || there_too.is_some() {
+        simulated(machine, files, discard, &text, plan)?;
+    }
     // Last: without it nothing uses the others.
     plan.changes.push(Change {
         name: ini,
         before: there,
         after: text,
     });
+    Ok(())
+}
+
+/// The variant on the simulated board, of the INI file as it will be; and what LinuxCNC's picker
+/// shows beside both INI files.
+fn simulated(
+    machine: &CncMachine,
+    files: &dyn Files,
+    discard: bool,
+    ini: &str,
+    plan: &mut Plan,
+) -> Result<(), Error> {
+    let name = &machine.name;
+    for (name, seal, body) in [
+        (TWIN_HAL.to_owned(), &HAL, twin::hal(machine)),
+        (format!("{name}-twin.ini"), &TWIN_INI, twin::ini(ini)),
+    ] {
+        let there = files.text(&name)?;
+        if let Some(text) = &there {
+            seal.opened(&name, text, discard)?;
+        }
+        plan.changes.push(Change {
+            name,
+            before: there,
+            after: seal.sealed(machine, &body),
+        });
+    }
+    for (name, text) in [
+        (format!("{name}.txt"), twin::about(machine, &plan.board)),
+        (format!("{name}-twin.txt"), twin::about_twin(machine)),
+    ] {
+        if files.text(&name)?.is_none() {
+            plan.changes.push(Change {
+                name,
+                before: None,
+                after: text,
+            });
+        }
+    }
     Ok(())
 }
 
@@ -232,6 +288,8 @@ struct Seal {
     advice: &'static str,
     /// Where lines of the user's go.
     refuge: &'static str,
+    /// A line that begins so may change.
+    free: Option<&'static str>,
 }
 
 /// A HAL file's.
@@ -240,6 +298,15 @@ const HAL: Seal = Seal {
     close: "",
     advice: "# Do not edit it: it is written anew. Your own lines go into custom.hal.\n\n",
     refuge: CUSTOM_HAL,
+    free: None,
+};
+/// That of the INI file of the simulated machine.
+const TWIN_INI: Seal = Seal {
+    open: "# ",
+    close: "",
+    advice: "# Do not edit it: it is the machine's INI file with another board, and written anew with it.\n\n",
+    refuge: "the machine's INI file",
+    free: Some(PICKERS),
 };
 /// A page's.
 const PAGE: Seal = Seal {
@@ -247,7 +314,10 @@ const PAGE: Seal = Seal {
     close: " -->",
     advice: "\n",
     refuge: "a file of your own",
+    free: None,
 };
+/// A key of the INI file that LinuxCNC's picker writes anew in the copy that it makes.
+const PICKERS: &str = "PROGRAM_PREFIX";
 /// The first line.
 const GENERATED: &str = "Generated by `ferrocnc machine write` from ";
 /// The second: the sum of what follows.
@@ -260,8 +330,15 @@ impl Seal {
         let Seal { open, close, .. } = self;
         let file = machine.file.rsplit('/').next().unwrap_or_default();
         let rest = format!("{}{body}", self.advice);
-        let sum = wire::crc::crc32(rest.as_bytes());
-        format!("{open}{GENERATED}{file}.{close}\n{open}{SUM}{sum:08x}{close}\n{rest}")
+        let sum = self.sum(&rest);
+        format!("{open}{GENERATED}{file}.{close}\n{open}{SUM}{sum}{close}\n{rest}")
+    }
+
+    fn sum(&self, rest: &str) -> String {
+        let is_free = |line: &&str| self.free.is_some_and(|free| line.starts_with(free));
+        let lines = rest.split_inclusive('\n').filter(|line| !is_free(line));
+        let summed: String = lines.collect();
+        format!("{:08x}", wire::crc::crc32(summed.as_bytes()))
     }
 
     /// What follows the two lines. An error if it is not as it was generated.
@@ -291,7 +368,7 @@ impl Seal {
             ));
         };
         let sum = sum.trim_end_matches(self.close);
-        if !discard && sum != format!("{:08x}", wire::crc::crc32(rest.as_bytes())) {
+        if !discard && sum != self.sum(rest) {
             return Err(error(
                 2,
                 "was edited since it was generated",

@@ -36,11 +36,12 @@ const HERE: [&str; 15] = [
 ];
 
 /// Commands that another test runs: their beginning, and the test.
-const ELSEWHERE: [(&str, &str); 16] = [
+const ELSEWHERE: [(&str, &str); 17] = [
     ("ferrocnc test ", "tests/tests/tryout/main.rs"),
     ("ferrocnc machine ", "host/tests/pages.rs"),
     ("ferrocnc-sim --backend model ", "tests/tests/machines.rs"),
     ("linuxcnc mill.ini", "tests/tests/machines.rs"),
+    ("linuxcnc mill-twin.ini", "tests/tests/machines.rs"),
     ("ferrocnc config new ", "host/tests/pages.rs"),
     ("ferrocnc config check ", "host/tests/pages.rs"),
     ("ferrocnc config show ", "host/tests/pages.rs"),

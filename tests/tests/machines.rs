@@ -8,8 +8,9 @@
 use ferrocnc_tests::hal::{out, root};
 use ferrocnc_tests::{Simulator, program};
 use serde_json::Value;
+use std::net::{SocketAddr, UdpSocket};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 /// How far a switch may be found from where it is, in seconds at the speed of its edge: 2 ms until
 /// it counts as at rest, and two servo periods.
@@ -202,6 +203,73 @@ fn stands(result: &Value, places: &[(&str, f64)]) {
         let at = result["position"][axis].as_f64().expect("a place");
         assert!((at - place).abs() < 0.02, "{axis} at {at}, not {place}");
     }
+}
+
+/// LinuxCNC with a machine's second INI file, which starts the board by itself, as the picker's
+/// copy of a sample does; what it says goes to `run.log`.
+fn from_the_picker(folder: &Path, ini: &str, board: SocketAddr, ngc: &Path) {
+    let run = folder.parent().expect("the run's folder");
+    let log = std::fs::File::create(run.join("run.log")).expect("a log");
+    let tool = program("ferrocnc");
+    let programs = tool.parent().expect("its folder").display();
+    // Installed, all three are in /usr/bin.
+    let packaging = root().join("host/packaging");
+    let path = std::env::var("PATH").expect("a path");
+    let _ = Command::new("python3")
+        .arg(root().join("host/examples/mill/run.py"))
+        .args(["--board", &board.to_string(), "--lockstep", "--out"])
+        .arg(run)
+        .arg("--config")
+        .arg(folder)
+        .args(["--ini", ini, "--program"])
+        .arg(ngc)
+        .env("PATH", format!("{programs}:{}:{path}", packaging.display()))
+        .stdin(Stdio::null())
+        .stdout(log.try_clone().expect("its log"))
+        .stderr(log)
+        .status();
+}
+
+/// The processes whose command names this address, but for those that have ended.
+fn with_address(board: SocketAddr) -> Vec<String> {
+    let processes = std::fs::read_dir("/proc").expect("/proc").flatten();
+    // One that has ended and waits for its parent has no command.
+    let commands = processes.filter_map(|it| std::fs::read(it.path().join("cmdline")).ok());
+    let commands = commands.map(|it| String::from_utf8_lossy(&it).replace('\0', " "));
+    commands
+        .filter(|command| command.contains(&board.to_string()))
+        .collect()
+}
+
+#[test]
+fn a_sample_starts_its_board_by_itself_and_leaves_no_process() {
+    let folder = out("machine-picker").join("machine");
+    std::fs::create_dir_all(&folder).expect("a folder");
+    tool(&folder, &["machine", "new", "--from", "mill"]);
+    tool(&folder, &["machine", "write", "--twin", "--yes"]);
+    let path = folder.join("mill-twin.ini");
+    let mut ini = std::fs::read_to_string(&path).expect("the twin's INI file");
+    without_a_screen(&folder, &mut ini, 3);
+    std::fs::write(&path, &ini).expect("the INI file");
+    // A host that waits for its processor must not count as dead.
+    let path = folder.join("twin.hal");
+    let hal = std::fs::read_to_string(&path).expect("the twin's HAL file");
+    let hal = format!("{} --silence-ms 600000\n", hal.trim_end());
+    std::fs::write(&path, hal).expect("the HAL file");
+    let run = folder.parent().expect("the run's folder");
+    let ngc = run.join("program.ngc");
+    std::fs::write(&ngc, "G21 G90\nG0 X10 Y20\nM2\n").expect("the program");
+    let board = UdpSocket::bind("127.0.0.1:0").and_then(|socket| socket.local_addr());
+    let board = board.expect("a free UDP port");
+
+    from_the_picker(&folder, "mill-twin.ini", board, &ngc);
+
+    let said = std::fs::read_to_string(run.join("run.log")).unwrap_or_default();
+    let result = std::fs::read_to_string(run.join("result.json")).expect(&said);
+    let result: Value = serde_json::from_str(&result).expect("JSON");
+    assert_eq!(result["exit"], 0, "{}\n{said}", result["text"]);
+    stands(&result, &[("x", 10.0), ("y", 20.0), ("z", 0.0)]);
+    assert_eq!(with_address(board), [""; 0], "{said}");
 }
 
 #[test]

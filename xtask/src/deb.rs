@@ -9,6 +9,7 @@ mod contents;
 mod images;
 mod install;
 mod manual;
+mod samples;
 
 pub use images::sums;
 
@@ -150,7 +151,8 @@ fn cargo_home() -> PathBuf {
     std::env::var_os("CARGO_HOME").map_or_else(home, PathBuf::from)
 }
 
-/// Writes manual pages, completions, the copyright file and the images' folder.
+/// Writes manual pages, completions, the copyright file, the sample machines and the images'
+/// folder.
 fn files(to: &Path) -> Result<()> {
     if to.exists() {
         fs::remove_dir_all(to)?;
@@ -174,6 +176,7 @@ fn files(to: &Path) -> Result<()> {
     }
     fs::write(to.join("man9/ferrocnc.9"), manual::page()?)?;
     fs::write(to.join("copyright"), copyright()?)?;
+    samples::write(&tool, &to.join("samples"))?;
     let gathered = images::gather(&target("bitstream"), &to.join("images"))?;
     step::note(&gathered.sentence());
     Ok(())

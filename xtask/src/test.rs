@@ -70,9 +70,9 @@ enum Level {
     /// The Debian packages: what is in them, and the same bytes twice. Only if it is named: to
     /// build them and the tool that packs them takes ten minutes of a core.
     Packages,
-    /// The same, and they are installed in a fresh Debian 12, where LinuxCNC runs a program on the
-    /// twin, and removed without a trace. Only if it is named: it takes 200 MB of Debian from the
-    /// network.
+    /// The same, and they are installed in a fresh Debian 12 and a fresh Debian 13, where LinuxCNC
+    /// runs a program on the twin, and removed without a trace. Only if it is named: it takes twice
+    /// 200 MB of Debian from the network.
     Install,
     /// The smallest configuration as bitstream: every clock met, the release firmware inside, files
     /// the host and an ECP5 take; its routed netlist, simulated, is the RTL clock by clock.

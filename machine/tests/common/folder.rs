@@ -3,7 +3,7 @@
 
 use ferrocnc_config::source::Folder as Platforms;
 use ferrocnc_config::{Board, Error};
-use ferrocnc_machine::plan::{Files, Plan, plan};
+use ferrocnc_machine::plan::{Files, Plan, Wishes, plan};
 use ferrocnc_machine::template::template;
 use ferrocnc_machine::{CncMachine, read};
 use std::collections::BTreeMap;
@@ -31,7 +31,7 @@ impl Folder {
     }
 
     pub fn plan(&self, machine: &CncMachine) -> Result<Plan, Vec<Error>> {
-        plan(machine, self, &Platforms::default(), false)
+        plan(machine, self, &Platforms::default(), Wishes::default())
     }
 
     pub fn write(&mut self, machine: &CncMachine) -> Plan {

@@ -1,7 +1,7 @@
 //! Checks what is in the packages: the files that must be there, nothing outside the folders of
 //! Debian, no scripts, no path of this computer.
 
-use super::cargo_home;
+use super::{cargo_home, samples};
 use crate::{root, setup, target, tree};
 use anyhow::{Context, Result, bail};
 use std::fs;
@@ -52,14 +52,7 @@ const WANTED: [Wanted; 4] = [
         files: &[
             (PLAIN, "./usr/lib/linuxcnc/modules/ferrocnc.so"),
             (PLAIN, "./usr/share/man/man9/ferrocnc.9.gz"),
-            (
-                PLAIN,
-                "./usr/share/linuxcnc/aux_examples/ferrocnc-mill/mill.ini",
-            ),
-            (
-                PLAIN,
-                "./usr/share/linuxcnc/aux_examples/ferrocnc-mill/programs/rcone_short.ngc",
-            ),
+            (PROGRAM, "./usr/bin/ferrocnc-twin"),
             (PLAIN, "./usr/share/doc/ferrocnc-linuxcnc/copyright"),
         ],
     },
@@ -109,6 +102,9 @@ fn one(package: &Path) -> Result<()> {
         if !["control", "md5sums"].contains(&&*file.to_string_lossy()) {
             bail!("it has {}, which is run or kept", file.display());
         }
+    }
+    if name == "ferrocnc-linuxcnc" {
+        samples::check(&folder.join("usr/share/linuxcnc/aux_examples"))?;
     }
     for place in [root().to_owned(), cargo_home()] {
         if let Some(file) = holding(&folder, &place)? {

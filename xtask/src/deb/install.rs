@@ -1,19 +1,19 @@
-//! Installs the packages in a fresh Debian 12 that mmdebstrap makes, runs `tests/packages/fresh.sh`
-//! there, and throws that Debian away.
+//! Installs the packages in a fresh Debian that mmdebstrap makes, runs `tests/packages/fresh.sh`
+//! there, and throws that Debian away: 12, with which they are built, then 13.
 
 use crate::{root, step};
 use anyhow::{Result, bail};
 use std::path::PathBuf;
 use std::process::Command;
 
-/// Debian's name of the release.
-const RELEASE: &str = "bookworm";
+/// Debian's numbers and names of the releases.
+const RELEASES: [(&str, &str); 2] = [("12", "bookworm"), ("13", "trixie")];
 
-/// What that Debian has before our packages come.
-const BEFORE: &str = "man-db";
+/// What that Debian has before our packages come; Debian 13 has no `useradd` without being told.
+const BEFORE: &str = "man-db,passwd";
 
-/// Of the example mill, what is not in the sample: what runs it without a screen.
-const HEADLESS: [&str; 4] = ["headless.ini", "headless.py", "record.hal", "run.py"];
+/// The display of a machine that the tool has written: it homes all axes and runs a program.
+const DISPLAY: &str = "tests/linuxcnc/machine/display.py";
 
 /// What the script is told, in this order. `use` comes with network, HAL and processes of its own:
 /// other tests have the same ports, and HAL's memory has the same keys everywhere.
@@ -23,30 +23,37 @@ const PARTS: [&str; 3] = [
     "chroot \"$1\" bash /packages/fresh.sh purge",
 ];
 
-/// Installs, uses and removes the packages; how many tests passed.
+/// Installs, uses and removes the packages in each Debian; how many tests passed.
 pub fn check(packages: &[PathBuf]) -> Result<usize> {
+    let mut passed = 0;
+    for (number, release) in RELEASES {
+        passed += in_a_fresh(number, release, packages)?;
+    }
+    Ok(passed)
+}
+
+fn in_a_fresh(number: &str, release: &str, packages: &[PathBuf]) -> Result<usize> {
     let mut install = Command::new("mmdebstrap");
     install.args(["--variant=apt", "--include", BEFORE]);
     let mut hook = |text: String| {
         install.arg(format!("--customize-hook={text}"));
     };
-    hook("mkdir -p \"$1/packages/mill\"".to_owned());
+    hook("mkdir -p \"$1/packages\"".to_owned());
     let mut files: Vec<PathBuf> = packages.to_vec();
     files.push(root().join("tests/packages/fresh.sh"));
     hook(copy_in(&files, "/packages"));
     let mill = root().join("host/examples/mill");
-    hook(copy_in(
-        &HEADLESS.map(|file| mill.join(file)),
-        "/packages/mill",
-    ));
+    hook(copy_in(&[mill], "/packages"));
+    hook(copy_in(&[root().join(DISPLAY)], "/packages/mill"));
     for part in PARTS {
         hook(part.to_owned());
     }
     // The Debian is of no use afterwards.
-    install.args([RELEASE, "/dev/null"]);
+    install.args([release, "/dev/null"]);
+    let log = format!("test-packages-{number}");
     let printed = step::run_quietly(
-        "test-packages",
-        "install, use and purge the packages in a fresh Debian",
+        &log,
+        &format!("install, use and purge the packages in a fresh Debian {number}"),
         "4 min",
         &mut install,
     )?;
@@ -56,7 +63,7 @@ pub fn check(packages: &[PathBuf]) -> Result<usize> {
         println!("    {line}");
     }
     match passed.is_empty() {
-        true => bail!("nothing was tested; see target/logs/test-packages.log"),
+        true => bail!("nothing was tested; see target/logs/{log}.log"),
         false => Ok(passed.len()),
     }
 }

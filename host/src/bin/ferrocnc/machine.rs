@@ -13,7 +13,7 @@ use ferrocnc::replace::replace;
 use ferrocnc_config::pinout::Pinout;
 use ferrocnc_config::source::{Folder, read_text};
 use ferrocnc_config::{Board, Error, read_board};
-use ferrocnc_machine::plan::{Change, Files, Plan, plan};
+use ferrocnc_machine::plan::{Change, Files, Plan, Wishes, plan};
 use ferrocnc_machine::plant::plant;
 use ferrocnc_machine::{CncMachine, check, read};
 use serde_json::{Value, json};
@@ -55,6 +55,9 @@ pub(crate) struct MachineWrite {
     /// Show what would change, and end.
     #[arg(long, conflicts_with = "yes")]
     dry_run: bool,
+    /// Also write NAME-twin.ini, which starts the machine on the simulated board, without a card.
+    #[arg(long)]
+    twin: bool,
     /// Lose what was written into the generated HAL files by hand.
     #[arg(long)]
     discard_edits: bool,
@@ -109,16 +112,16 @@ struct Told {
 }
 
 /// Reads a machine and makes the plan of its files.
-fn look(file: &Path, discard: bool) -> Result<Told> {
+fn look(file: &Path, wishes: Wishes) -> Result<Told> {
     let text = read_text(file).map_err(|mut error| {
         error.remedy = "`ferrocnc machine new` writes one".to_owned();
         error
     })?;
-    Ok(look_at(file, &text, &Beside::new(file), discard))
+    Ok(look_at(file, &text, &Beside::new(file), wishes))
 }
 
 /// The same of a text, with these files beside it.
-fn look_at(file: &Path, text: &str, files: &dyn Files, discard: bool) -> Told {
+fn look_at(file: &Path, text: &str, files: &dyn Files, wishes: Wishes) -> Told {
     let machine: CncMachine = match read(&file.display().to_string(), text) {
         Ok(machine) => machine,
         Err(error) => {
@@ -131,7 +134,7 @@ fn look_at(file: &Path, text: &str, files: &dyn Files, discard: bool) -> Told {
         }
     };
     let notes = check(&machine).notes;
-    let made = plan(&machine, files, &Folder::beside(file), discard);
+    let made = plan(&machine, files, &Folder::beside(file), wishes);
     let (plan, bad) = match made {
         Ok(plan) => (Some(plan), Vec::new()),
         Err(bad) => (None, bad),
@@ -192,7 +195,7 @@ impl Told {
 }
 
 fn check_file(file: &Path, as_json: bool) -> Result<()> {
-    let told = look(file, false)?;
+    let told = look(file, Wishes::default())?;
     if as_json {
         say(&format!("{:#}\n", told.to_json()))?;
     } else {
@@ -212,7 +215,12 @@ fn check_file(file: &Path, as_json: bool) -> Result<()> {
 }
 
 fn write_plant(file: &Path, output: Option<&Path>) -> Result<()> {
-    let mut told = look(file, false)?;
+    // It writes none of the generated files, so it does not matter that one was edited.
+    let wishes = Wishes {
+        discard: true,
+        ..Wishes::default()
+    };
+    let mut told = look(file, wishes)?;
     for error in &told.bad {
         eprintln!("{error}");
     }
@@ -232,7 +240,11 @@ fn write(arguments: &MachineWrite, as_json: bool) -> Result<()> {
     if as_json && !(arguments.yes || arguments.dry_run) {
         bail!("--json does not ask; say --yes or --dry-run, too");
     }
-    let told = look(&arguments.file, arguments.discard_edits)?;
+    let wishes = Wishes {
+        discard: arguments.discard_edits,
+        twin: arguments.twin,
+    };
+    let told = look(&arguments.file, wishes)?;
     let mut json = told.to_json();
     if !as_json {
         told.say()?;
@@ -302,7 +314,7 @@ mod tests {
     use super::Beside;
     use crate::hal_file::own_names;
     use ferrocnc_config::source::Folder;
-    use ferrocnc_machine::plan::plan;
+    use ferrocnc_machine::plan::{Wishes, plan};
     use ferrocnc_machine::template::TEMPLATES;
     use ferrocnc_machine::{CncMachine, read};
 
@@ -321,7 +333,7 @@ mod tests {
     fn every_name_of_the_board_in_a_generated_file_exists() {
         for machine in machines() {
             let nowhere = Beside("/nonexistent".into());
-            let made = plan(&machine, &nowhere, &Folder(None), false).expect("a plan");
+            let made = plan(&machine, &nowhere, &Folder(None), Wishes::default()).expect("a plan");
             let known = own_names(&made.board).expect("a board");
             let hal = made.changes.iter().find(|it| it.name == "ferrocnc.hal");
             let hal = &hal.expect("the file").after;

@@ -7,7 +7,7 @@ use crate::config;
 use anyhow::Result;
 use ferrocnc_config::pinout::Pinout;
 use ferrocnc_config::{Board, Error, read_board};
-use ferrocnc_machine::plan::Files;
+use ferrocnc_machine::plan::{Files, Wishes};
 use ferrocnc_machine::template::{Slot, TEMPLATES};
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -99,7 +99,7 @@ pub(crate) fn put(answer: &Answer) -> Result<String> {
 /// What `machine check` says of it, what `machine write` would write into an empty folder, and the
 /// card.
 pub(crate) fn judged(toml: &str) -> Value {
-    let told = look_at(Path::new("machine.toml"), toml, &Alone, false);
+    let told = look_at(Path::new("machine.toml"), toml, &Alone, Wishes::default());
     let mut json = told.to_json();
     if let Some(plan) = &told.plan {
         let files = plan.changes.iter();
