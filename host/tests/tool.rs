@@ -87,8 +87,11 @@ fn the_doctor_looks_at_this_computer_and_at_the_board_and_takes_no_session() {
     assert_eq!(found("exchanges")["verdict"], "note");
     let remedy = found("exchanges")["remedy"].as_str().unwrap().to_owned();
     assert!(remedy.contains("TOS or TTL"), "{remedy}");
-    for check in ["real-time kernel", "clock", "release"] {
+    for check in ["real-time kernel", "clock", "release", "refused datagrams"] {
         found(check);
+    }
+    for check in ["names in HAL", "key"] {
+        assert_eq!(found(check)["verdict"], "good", "{}", found(check));
     }
     assert!(board.look().owner.is_none());
 }
