@@ -20,6 +20,8 @@
 //! | [`board`] | what the board says: release, image, settings, refusals, key, way of exchanges |
 //! | [`names`] | the names of its pins in HAL |
 //! | [`running`] | what a LinuxCNC that runs says of itself |
+//! | [`files`] | INI and HAL files of a configuration |
+//! | [`machine`] | that configuration against the board |
 //! | [`soak`] | the exchange itself, measured for a minute |
 //! | [`system`] | where all of them read |
 //! | [`fix`] | what is repaired if the operator says so |
@@ -30,10 +32,12 @@
 pub mod board;
 pub mod card;
 pub mod cpu;
+pub mod files;
 pub mod fix;
 pub mod kernel;
 pub mod line;
 pub mod linuxcnc;
+pub mod machine;
 pub mod names;
 pub mod network;
 pub mod others;
