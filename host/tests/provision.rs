@@ -258,6 +258,21 @@ fn what_cannot_be_set_is_said_before_anything_is_sent() {
             "leave its address out",
         ),
         (
+            &["update", "--uid", "d1620c8a1b2c3d4e", "/nowhere.bit"],
+            "cannot read /nowhere.bit",
+        ),
+        (
+            &[
+                "update",
+                "--uid",
+                "d1620c8a1b2c3d4e",
+                "a.bit",
+                "--board",
+                "mill6",
+            ],
+            "name one of the two",
+        ),
+        (
             &["update", "192.168.2.50", "/nowhere.bit"],
             "cannot read /nowhere.bit",
         ),

@@ -105,6 +105,19 @@ fn the_doctor_looks_at_this_computer_and_at_the_board_and_takes_no_session() {
 }
 
 #[test]
+fn a_doctor_without_a_configuration_or_a_time_to_listen_says_what_to_name() {
+    let said = complaint(&["doctor", "--ini", "/nowhere.ini"]);
+    assert!(
+        said.contains("cannot read /nowhere.ini; name the"),
+        "{said}"
+    );
+    for seconds in ["0", "4000", "nan"] {
+        let said = complaint(&["doctor", "--listen", seconds]);
+        assert!(said.contains("--listen 10"), "{said}");
+    }
+}
+
+#[test]
 fn a_board_without_a_log_and_a_file_without_texts_are_told_apart() {
     let board = board();
     let this = std::env::current_exe().unwrap();

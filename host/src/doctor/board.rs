@@ -47,9 +47,8 @@ pub fn examine(system: &System<'_>, client: &mut Client, keys: &Keys) -> Vec<Fin
     if let Ok((locked, uid)) = client.locked() {
         findings.push(key(locked, keys.find(uid).is_ok()));
     }
-    if let Some(pins) = names::pins(&identity) {
-        findings.push(names::examine(system, &pins));
-    }
+    let pins = names::pins(&identity).unwrap_or_default();
+    findings.push(names::examine(system, &pins));
     if let Ok(facts) = gather::ways(client) {
         findings.push(ways::judge(&facts));
     }
