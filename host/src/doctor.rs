@@ -7,15 +7,21 @@
 //!
 //! | module | |
 //! |---|---|
-//! | [`platform`] | kernel, LinuxCNC, its rights, the module |
+//! | [`platform`] | kernel, LinuxCNC, its rights |
+//! | [`realtime`] | the module that LinuxCNC loads |
 //! | [`linuxcnc`] | its real-time part: what an earlier run left, which build, which processor |
-//! | [`cpu`] | what keeps a processor from the servo thread |
+//! | [`cpu`] | what keeps a processor from the servo thread, BIOS |
 //! | [`kernel`] | idle states, power of PCIe, parameters, graphics driver |
 //! | [`port`] | the Ethernet port: driver, link, interrupts, power |
 //! | [`card`] | its chip, the threads of its interrupts, what it puts together |
 //! | [`network`] | addresses, routes, neighbours on it |
 //! | [`others`] | managers, firewalls and programs that use the port, too |
-//! | [`board`] | the board's release, and which way exchanges take |
+//! | [`line`] | frames, switches and boards on the line that are not meant to be there |
+//! | [`board`] | what the board says: release, image, settings, refusals, key, way of exchanges |
+//! | [`names`] | the names of its pins in HAL |
+//! | [`running`] | what a LinuxCNC that runs says of itself |
+//! | [`files`] | INI and HAL files of a configuration |
+//! | [`machine`] | that configuration against the board |
 //! | [`soak`] | the exchange itself, measured for a minute |
 //! | [`system`] | where all of them read |
 //! | [`fix`] | what is repaired if the operator says so |
@@ -26,18 +32,25 @@
 pub mod board;
 pub mod card;
 pub mod cpu;
+pub mod files;
 pub mod fix;
 pub mod kernel;
+pub mod line;
 pub mod linuxcnc;
+pub mod machine;
+pub mod names;
 pub mod network;
 pub mod others;
 pub mod platform;
 pub mod port;
+pub mod realtime;
+pub mod running;
 pub mod soak;
 pub mod system;
 
 use crate::finding::{Finding, Report};
 use std::net::Ipv4Addr;
+use std::time::Duration;
 use system::System;
 
 /// What is looked at besides the computer itself.
@@ -47,24 +60,37 @@ pub struct Subject {
     pub board: Option<Ipv4Addr>,
     /// The interface to it, if the routes are not to be asked.
     pub interface: Option<String>,
+    /// Count for so long what this computer sends there.
+    pub listen: Option<Duration>,
+}
+
+impl Subject {
+    /// The interface: the one that was named, or the one that leads to the board.
+    pub fn port(&self, system: &System<'_>) -> Option<String> {
+        let routed = || self.board.and_then(|ip| network::to(system, ip));
+        self.interface.clone().or_else(routed)
+    }
 }
 
 /// Looks at everything.
 pub fn examine(system: &System<'_>, subject: &Subject) -> Report {
     let mut findings = platform::examine(system);
+    findings.extend(realtime::examine(system));
     findings.extend(linuxcnc::examine(system));
     findings.extend(cpu::examine(system));
     findings.extend(kernel::examine(system));
-    let routed = || subject.board.and_then(|ip| network::to(system, ip));
-    match subject.interface.clone().or_else(routed) {
+    match subject.port(system) {
         Some(interface) => {
             findings.extend(port::examine(system, &interface));
             findings.extend(card::examine(system, &interface));
             findings.extend(network::examine(system, &interface, subject.board));
             findings.extend(others::examine(system, &interface, subject.board));
+            let (board, listen) = (subject.board, subject.listen);
+            findings.extend(line::examine(system, &interface, board, listen));
         }
         None => findings.push(no_interface(subject)),
     }
+    findings.extend(running::examine(system));
     let kernel = system.read("proc/sys/kernel/osrelease");
     let processor = system.read("proc/cpuinfo").and_then(|text| {
         let line = text.lines().find(|line| line.starts_with("model name"))?;

@@ -74,6 +74,12 @@ exported!(
     rtapi_info_description_key,
     c"File with the key of boards that have one; each board's own in ~/.config/ferrocnc/keys if not given".as_ptr()
 );
+/// In front of the release in the module's file, for `ferrocnc doctor`.
+pub const VERSION_MARK: &str = "ferrocnc.so of release ";
+exported!(
+    rtapi_info_version,
+    concat!("ferrocnc.so of release ", env!("CARGO_PKG_VERSION"), "\0").as_ptr()
+);
 exported!(rtapi_info_license, c"GPL".as_ptr());
 exported!(
     rtapi_info_description,

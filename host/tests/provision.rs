@@ -242,7 +242,36 @@ fn what_cannot_be_set_is_said_before_anything_is_sent() {
             &["discover", "--interface", "no-such-if0"],
             "no interface \"no-such-if0\"",
         ),
-        (&["update", "192.168.2.50"], "FILE"),
+        (&["update"], "--uid"),
+        (
+            &["update", "192.168.2.50", "a.bit", "--board", "mill6"],
+            "cannot be used with",
+        ),
+        (
+            &[
+                "update",
+                "192.168.2.50",
+                "a.bit",
+                "--uid",
+                "d1620c8a1b2c3d4e",
+            ],
+            "leave its address out",
+        ),
+        (
+            &["update", "--uid", "d1620c8a1b2c3d4e", "/nowhere.bit"],
+            "cannot read /nowhere.bit",
+        ),
+        (
+            &[
+                "update",
+                "--uid",
+                "d1620c8a1b2c3d4e",
+                "a.bit",
+                "--board",
+                "mill6",
+            ],
+            "name one of the two",
+        ),
         (
             &["update", "192.168.2.50", "/nowhere.bit"],
             "cannot read /nowhere.bit",
@@ -293,4 +322,66 @@ fn the_tool_updates_and_says_what_runs_now_and_after_the_next_power_up() {
     ] {
         assert!(text.contains(part), "{part} missing in:\n{text}");
     }
+}
+
+/// The installed images: of these board files, for these cards.
+fn packaged(name: &str, boards: &[(&str, &str)]) -> String {
+    let images = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&images);
+    for (configuration, platform) in boards {
+        let folder = images.join(configuration);
+        std::fs::create_dir_all(&folder).unwrap();
+        let file = |build| ferrocnc::image::sample::file(configuration, platform, build, 5000);
+        let image = |build| ferrocnc::image::Image::parse(&file(build)).unwrap();
+        let flash = ferrocnc::flash_file::sample::file(0x20_0000, &image(0xabcd), &image(2));
+        std::fs::write(folder.join(format!("{configuration}.flash")), flash).unwrap();
+        std::fs::write(folder.join(format!("{configuration}.bit")), file(0xabcd)).unwrap();
+    }
+    images.to_str().unwrap().to_owned()
+}
+
+#[test]
+fn without_a_file_the_installed_image_for_the_boards_card_is_written() {
+    let board = FakeBoard::mill6(Time::Lockstep(60_000));
+    board.look().flash.looks = 0;
+    let cards = [
+        ("lathe", "5a-75b-8.0"),
+        ("mill6", "5a-75b-8.0"),
+        ("mill6e", "5a-75e-7.1"),
+    ];
+    let images = packaged("update-installed", &cards);
+    let update = ["update", &board.text(), "--images", &images];
+    let said = answer(&update);
+    assert!(said.contains("slot A holds mill6 on 5a-75b-8.0"), "{said}");
+    let said = answer(&[&update[..], &["--board", "lathe", "--slot", "b"]].concat());
+    assert!(said.contains("slot B holds lathe on 5a-75b-8.0"), "{said}");
+    let said = complaint(&[&update[..], &["--board", "mill6e"]].concat());
+    assert!(
+        said.contains("is mill6e for 5a-75b-8.0") && said.contains("--board"),
+        "{said}"
+    );
+}
+
+#[test]
+fn without_an_installed_image_or_a_card_an_update_says_what_to_do() {
+    let board = FakeBoard::mill6(Time::Lockstep(60_000));
+    let update = |images: &str| complaint(&["update", &board.text(), "--images", images]);
+    let said = update("/nowhere");
+    assert!(
+        said.contains("install the package ferrocnc-images"),
+        "{said}"
+    );
+    let said = update(&packaged("update-other", &[("mill6", "5a-75e-7.1")]));
+    assert!(
+        said.contains("is mill6 for 5a-75b-8.0; it has mill6 for 5a-75e-7.1"),
+        "{said}"
+    );
+    assert_eq!(said.lines().count(), 1, "{said}");
+    // 14 is the card's name.
+    board.look().names.retain(|(kind, ..)| *kind != 14);
+    let said = update("/nowhere");
+    assert!(
+        said.contains("does not say which card it is; name a file"),
+        "{said}"
+    );
 }

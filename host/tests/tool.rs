@@ -73,7 +73,8 @@ fn the_doctor_looks_at_this_computer_and_at_the_board_and_takes_no_session() {
     let file = std::env::temp_dir().join(format!("ferrocnc-doctor-{}.json", std::process::id()));
     // This computer may be bad; the report is written first.
     let arguments = ["doctor", &board.text(), "--report", file.to_str().unwrap()];
-    let _ = tool(&arguments);
+    let mill = ["--ini", "examples/mill/mill.ini"];
+    let _ = tool(&[&arguments[..], &mill[..]].concat());
     let text = std::fs::read_to_string(&file).unwrap();
     std::fs::remove_file(&file).unwrap();
     let report: serde_json::Value = serde_json::from_str(&text).unwrap();
@@ -87,10 +88,33 @@ fn the_doctor_looks_at_this_computer_and_at_the_board_and_takes_no_session() {
     assert_eq!(found("exchanges")["verdict"], "note");
     let remedy = found("exchanges")["remedy"].as_str().unwrap().to_owned();
     assert!(remedy.contains("TOS or TTL"), "{remedy}");
-    for check in ["real-time kernel", "clock", "release"] {
+    for check in ["real-time kernel", "clock", "release", "refused datagrams"] {
         found(check);
     }
+    // The mill of the examples is made for this board, and its pins are those that it exports.
+    for check in [
+        "pins in HAL files",
+        "step timing",
+        "e-stop",
+        "names in HAL",
+        "key",
+    ] {
+        assert_eq!(found(check)["verdict"], "good", "{}", found(check));
+    }
     assert!(board.look().owner.is_none());
+}
+
+#[test]
+fn a_doctor_without_a_configuration_or_a_time_to_listen_says_what_to_name() {
+    let said = complaint(&["doctor", "--ini", "/nowhere.ini"]);
+    assert!(
+        said.contains("cannot read /nowhere.ini; name the"),
+        "{said}"
+    );
+    for seconds in ["0", "4000", "nan"] {
+        let said = complaint(&["doctor", "--listen", seconds]);
+        assert!(said.contains("--listen 10"), "{said}");
+    }
 }
 
 #[test]

@@ -271,6 +271,18 @@ fn a_new_card_is_flashed_found_tested_and_watched() {
         said.contains("192.168.2.1/24") && said.contains("board and tool"),
         "{said}"
     );
+    // A second instead of ten.
+    let listen = line("tuning.md", "ferrocnc doctor 192.168.2.50 --listen");
+    let (_, said) = reader.tries(&format!("{listen} 1"));
+    let counted = said
+        .lines()
+        .find(|line| line.contains(" frames sent there"));
+    assert!(counted.is_some_and(|it| it.contains(" in 1 s")), "{said}");
+    // The page's reader is in the configuration's folder.
+    let files = line("tuning.md", "ferrocnc doctor 192.168.2.50 --ini");
+    let files = files.replace("mill.ini", "host/examples/mill/mill.ini");
+    let (_, said) = reader.tries(&files);
+    assert!(said.contains("leaves room for every axis"), "{said}");
 
     let page = std::fs::read_to_string(root().join("docs/guide").join(FIRST_MACHINE));
     let page = page.expect("a page");

@@ -21,6 +21,7 @@ pub fn examine(system: &System<'_>) -> Vec<Finding> {
         clock(system),
         balance(system),
         virtual_machine(system),
+        bios(system),
     ]
 }
 
@@ -189,6 +190,50 @@ fn virtual_machine(system: &System<'_>) -> Finding {
             "yes",
             "its host takes the processor away at any time",
             "a computer of its own",
+        ),
+    }
+}
+
+/// What the BIOS does is not to be read, but for two settings: whether the processor may run faster
+/// than its clock, and whether its idle states are there.
+fn bios(system: &System<'_>) -> Finding {
+    let check = "BIOS";
+    let version = ["bios_vendor", "bios_version", "bios_date"];
+    let version = version.map(|name| system.read(&format!("sys/class/dmi/id/{name}")));
+    let version: Vec<String> = version.into_iter().flatten().collect();
+    let turbo = match (
+        system
+            .read(&format!("{CPUS}/intel_pstate/no_turbo"))
+            .as_deref(),
+        system.read(&format!("{CPUS}/cpufreq/boost")).as_deref(),
+    ) {
+        (Some("0"), _) | (None, Some("1")) => Some(true),
+        (Some("1"), _) | (None, Some("0")) => Some(false),
+        _ => None,
+    };
+    let mut fact = match version.is_empty() {
+        true => "not known".to_owned(),
+        false => version.join(" "),
+    };
+    fact += match turbo {
+        Some(true) => ", turbo on",
+        Some(false) => ", turbo off",
+        None => "",
+    };
+    let remedy = "switch turbo, C-states, power saving and legacy USB off there; sudo hwlatdetect --duration=60 shows what the BIOS takes: 20 us is much";
+    match turbo {
+        Some(true) => Finding::note(
+            check,
+            fact,
+            "the clock of a processor changes with its load, and what else the BIOS does is not to be read from here",
+            remedy,
+        )
+        .lasting("the BIOS keeps it"),
+        Some(false) | None => Finding::skipped(
+            check,
+            fact,
+            "its power saving and its interrupts (SMI) are not to be read from here",
+            remedy,
         ),
     }
 }

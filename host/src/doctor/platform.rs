@@ -1,23 +1,12 @@
-//! Kernel, LinuxCNC, its rights, the module.
+//! Kernel, LinuxCNC and its rights.
 
 use super::system::{Rights, System};
 use crate::finding::Finding;
 
 /// Where LinuxCNC's packages have what runs in real time.
 const RTAPI_APP: &str = "usr/bin/rtapi_app";
-/// Where `loadrt` finds the module.
-const MODULE: &str = "usr/lib/linuxcnc/modules/ferrocnc.so";
 /// What LinuxCNC's package asks for each user, bytes.
 const LOCKED: u64 = 20_480 * 1024;
-/// An ELF file's machine, of this program's processor.
-const MACHINE: u16 = match () {
-    () if cfg!(target_arch = "x86_64") => 62,
-    () if cfg!(target_arch = "aarch64") => 183,
-    () if cfg!(target_arch = "arm") => 40,
-    () if cfg!(target_arch = "riscv64") => 243,
-    () => 0,
-};
-
 /// All checks of this module.
 pub fn examine(system: &System<'_>) -> Vec<Finding> {
     vec![
@@ -25,7 +14,6 @@ pub fn examine(system: &System<'_>) -> Vec<Finding> {
         linuxcnc(system),
         rights(system),
         forced(system),
-        module(system),
         locked(system),
     ]
 }
@@ -55,7 +43,7 @@ fn kernel(system: &System<'_>) -> Finding {
 }
 
 /// The version of an installed package, from dpkg's own list.
-fn installed(system: &System<'_>, name: &str) -> Option<String> {
+pub(super) fn installed(system: &System<'_>, name: &str) -> Option<String> {
     let list = system.read("var/lib/dpkg/status")?;
     let package = list.split("\n\n").find(|package| {
         let mut lines = package.lines();
@@ -132,36 +120,6 @@ fn forced(system: &System<'_>) -> Finding {
             "unset LINUXCNC_FORCE_REALTIME",
         )
         .lasting("remove the line from ~/.profile or ~/.bashrc"),
-    }
-}
-
-fn module(system: &System<'_>) -> Finding {
-    let check = "module";
-    if !system.exists(MODULE) {
-        return Finding::bad(
-            check,
-            format!("/{MODULE} is not there"),
-            "`loadrt ferrocnc` finds nothing",
-            "link the built module there (docs/guide/first-machine.md)",
-        );
-    }
-    let Some(head) = system.bytes::<20>(MODULE) else {
-        return Finding::bad(
-            check,
-            format!("/{MODULE} cannot be read"),
-            "a link that leads nowhere, or a file of another user",
-            "build it again, and see where the link leads: ls -l",
-        );
-    };
-    let machine = u16::from_le_bytes([head[18], head[19]]);
-    match head[..4] == *b"\x7fELF" && (MACHINE == 0 || machine == MACHINE) {
-        true => Finding::good(check, format!("/{MODULE}")),
-        false => Finding::bad(
-            check,
-            format!("/{MODULE} is for another processor"),
-            "LinuxCNC cannot load it",
-            "build it on this computer",
-        ),
     }
 }
 

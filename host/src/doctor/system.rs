@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::os::unix::fs::MetadataExt;
 use std::path::PathBuf;
 use std::process::Command;
+use std::time::Duration;
 
 /// Runs a program; what it prints, `None` if it is not there.
 pub type Run<'s> = dyn Fn(&str, &[&str]) -> Option<String> + 's;
@@ -32,6 +33,8 @@ pub struct System<'s> {
     pub run: &'s Run<'s>,
     /// Reads a variable of the environment.
     pub variable: &'s dyn Fn(&str) -> Option<String>,
+    /// Lets time go by.
+    pub wait: &'s dyn Fn(Duration),
 }
 
 impl System<'static> {
@@ -47,6 +50,7 @@ impl System<'static> {
                 Some(String::from_utf8_lossy(&both).into_owned())
             },
             variable: &|name| std::env::var(name).ok(),
+            wait: &std::thread::sleep,
         }
     }
 }
@@ -62,6 +66,17 @@ impl System<'_> {
     pub fn bytes<const N: usize>(&self, path: &str) -> Option<[u8; N]> {
         let bytes = std::fs::read(self.root.join(path)).ok()?;
         bytes.first_chunk().copied()
+    }
+
+    /// All bytes of a file.
+    pub fn all(&self, path: &str) -> Option<Vec<u8>> {
+        std::fs::read(self.root.join(path)).ok()
+    }
+
+    /// The mode of a file, of what a link leads to.
+    pub fn mode(&self, path: &str) -> Option<u32> {
+        let found = std::fs::metadata(self.root.join(path)).ok()?;
+        Some(found.mode())
     }
 
     /// Is it there?

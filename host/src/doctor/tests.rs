@@ -3,7 +3,7 @@
 mod faults;
 
 use super::*;
-use crate::finding::Verdict::{Bad, Good};
+use crate::finding::Verdict::{Bad, Good, Note, Skipped};
 use crate::finding::without_macs;
 use faults::FAULTS;
 use std::fs;
@@ -59,6 +59,7 @@ const FILES: &[(&str, &str)] = &[
     ("sys/class/net/eth1/speed", "1000"),
     ("sys/class/net/eth1/duplex", "full"),
     ("sys/class/net/eth1/mtu", "1500"),
+    ("sys/class/net/eth1/statistics/tx_packets", "1000"),
     ("sys/class/net/eth1/statistics/rx_errors", "0"),
     ("sys/class/net/eth1/statistics/rx_crc_errors", "0"),
     ("sys/class/net/eth1/queues/rx-0/rps_cpus", "0"),
@@ -89,6 +90,10 @@ struct Made {
     chip: &'static str,
     connection: &'static str,
     method: &'static str,
+    lldp: &'static str,
+    arping: &'static str,
+    hal: String,
+    sends: bool,
     ethtool: bool,
     forced: bool,
     cpu: Option<&'static str>,
@@ -115,24 +120,17 @@ impl Made {
             chip: "02:00.0 Ethernet controller: Intel Corporation I210 Gigabit (rev 03)\n",
             connection: "ferrocnc-eth1\n",
             method: "manual\n",
+            lldp: "",
+            arping: "",
+            hal: String::new(),
+            sends: false,
             ethtool: true,
             forced: false,
             cpu: None,
             path: "/usr/local/bin:/usr/bin",
         };
-        let elf = |machine: u16| {
-            let mut head = vec![0u8; 64];
-            head[..4].copy_from_slice(b"\x7fELF");
-            head[18..20].copy_from_slice(&machine.to_le_bytes());
-            head
-        };
-        let machine = match std::env::consts::ARCH {
-            "x86_64" => 62,
-            "aarch64" => 183,
-            "arm" => 40,
-            _ => 243,
-        };
-        made.bytes(MODULE, &elf(machine));
+        made.bytes(MODULE, &elf(2, env!("CARGO_PKG_VERSION")));
+        made.mode(MODULE, 0o644);
         made.file(RTAPI_APP, "");
         made.mode(RTAPI_APP, 0o4755);
         for (path, text) in FILES {
@@ -188,6 +186,11 @@ impl Made {
     }
 
     fn examine(&self, subject: &Subject) -> Report {
+        self.asked(|system| examine(system, subject))
+    }
+
+    /// What comes of a question to this computer.
+    fn asked<T>(&self, ask: impl FnOnce(&System<'_>) -> T) -> T {
         let run = |program: &str, arguments: &[&str]| {
             let text = match (program, arguments.first()) {
                 ("ip", _) => self.ip,
@@ -197,6 +200,9 @@ impl Made {
                 ("ethtool", Some(&"-a")) if self.ethtool => self.pause,
                 ("ethtool", Some(&"-k")) if self.ethtool => self.offloads,
                 ("lspci", _) => self.chip,
+                ("lldpcli", _) => self.lldp,
+                ("arping", _) => self.arping,
+                ("halcmd", _) => self.hal.as_str(),
                 ("nmcli", _) if arguments.contains(&"GENERAL.CONNECTION") => self.connection,
                 ("nmcli", _) if arguments.contains(&"ipv4.method") => self.method,
                 _ => return None,
@@ -213,8 +219,13 @@ impl Made {
                 "PATH" => Some(self.path.to_owned()),
                 _ => None,
             },
+            wait: &|_| {
+                if self.sends {
+                    self.file("sys/class/net/eth1/statistics/tx_packets", "1003");
+                }
+            },
         };
-        examine(&system, subject)
+        ask(&system)
     }
 }
 
@@ -224,10 +235,30 @@ impl Drop for Made {
     }
 }
 
+/// A module for this processor, of this class of ELF and this release.
+fn elf(class: u8, release: &str) -> Vec<u8> {
+    let machine: u16 = match std::env::consts::ARCH {
+        "x86_64" => 62,
+        "aarch64" => 183,
+        "arm" => 40,
+        _ => 243,
+    };
+    let mut bytes = vec![0u8; 64];
+    bytes[..4].copy_from_slice(b"\x7fELF");
+    bytes[4] = class;
+    bytes[18..20].copy_from_slice(&machine.to_le_bytes());
+    bytes.extend(format!("{}{release}\0", crate::module::VERSION_MARK).bytes());
+    bytes
+}
+
+/// Checks of what is not to be read from here: always advice.
+const ADVICE: [&str; 2] = ["BIOS", "LinuxCNC's latency"];
+
 fn board() -> Subject {
     Subject {
         board: Some(BOARD),
         interface: None,
+        listen: Some(Duration::from_secs(10)),
     }
 }
 
@@ -235,7 +266,10 @@ fn board() -> Subject {
 fn a_healthy_computer_has_nothing_to_be_told_of() {
     let report = Made::healthy().examine(&board());
     for finding in &report.findings {
-        assert_eq!(finding.verdict, Good, "{finding:?}");
+        match ADVICE.contains(&finding.check.as_str()) {
+            true => assert!(!finding.remedy.is_empty(), "{finding:?}"),
+            false => assert_eq!(finding.verdict, Good, "{finding:?}"),
+        }
     }
     assert!(report.findings.len() > 42, "{}", report.findings.len());
     assert_eq!(report.to_json()["computer"]["processor"], "Made Up 3000");
@@ -299,12 +333,13 @@ fn the_interface_is_the_one_whose_net_is_the_narrowest_or_the_one_that_was_named
     let named = Subject {
         board: None,
         interface: Some("eth1".into()),
+        listen: None,
     };
     assert_eq!(port(&named).as_deref(), Some("eth1, wired"));
     assert_eq!(port(&Subject::default()), None);
     let twin = Subject {
         board: Some(Ipv4Addr::LOCALHOST),
-        interface: None,
+        ..Subject::default()
     };
     made.file("sys/class/net/lo/mtu", "65536");
     assert_eq!(port(&twin).as_deref(), Some("lo, this computer itself"));
@@ -317,6 +352,7 @@ fn an_empty_computer_is_no_reason_to_panic() {
     let named = Subject {
         board: Some(BOARD),
         interface: Some("eth1".into()),
+        listen: None,
     };
     for subject in [board(), named, Subject::default()] {
         let report = made.examine(&subject);
@@ -361,6 +397,92 @@ fn a_report_for_others_has_no_hardware_address() {
         text.contains("lladdr MAC nud") && !text.contains("02:00"),
         "{text}"
     );
+}
+
+#[test]
+fn two_that_answer_for_one_address_are_told_and_no_hardware_address_is() {
+    let one = "Unicast reply from 192.168.2.50 [02:00:00:00:00:01]  0.7ms\n";
+    let two = "Unicast reply from 192.168.2.50 [02:00:00:00:00:01]  0.7ms\nUnicast reply from 192.168.2.50 [02:00:00:00:00:02]  0.9ms\n";
+    for (said, verdict) in [("", Skipped), (one, Good), (two, Bad)] {
+        let mut made = Made::healthy();
+        made.arping = said;
+        let finding = made.asked(|system| line::owners(system, "eth1", BOARD));
+        assert_eq!(finding.verdict, verdict, "{finding:?}");
+        assert!(!format!("{finding:?}").contains("02:00"), "{finding:?}");
+    }
+    let made = Made::healthy();
+    made.file("proc/812/comm", "rtapi_app");
+    let asked = made.asked(|system| line::boards(system, "eth1"));
+    assert_eq!(asked[0].verdict, Skipped, "nothing is asked: {asked:?}");
+}
+
+/// What `halcmd -s show` prints of a machine that is in order.
+const HAL: &str = "motmod u32 OUT 2000000 motion.servo.last-period
+ferrocnc s32 OUT 0 ferrocnc.0.packet-error-level
+ferrocnc u32 OUT 0 ferrocnc.0.packet-error-total ==> lost
+ferrocnc u32 OUT 0 ferrocnc.0.link.errors
+ferrocnc u32 OUT 3500000 ferrocnc.0.watchdog.margin-ns-min
+ferrocnc u32 RW 5000000 ferrocnc.0.watchdog.timeout-ns
+ferrocnc s32 RW 80000 ferrocnc.0.read.tmax
+ferrocnc s32 RW 120000 ferrocnc.0.write.tmax
+";
+
+#[test]
+fn a_running_machine_is_judged_by_its_own_pins() {
+    let judged = |hal: &str, check: &str| {
+        let mut made = Made::healthy();
+        made.file("proc/812/comm", "rtapi_app");
+        made.hal = hal.to_owned();
+        let all = made.asked(running::examine);
+        all.into_iter()
+            .find(|it| it.check == check)
+            .map(|it| (it.verdict, it.fact))
+            .unwrap_or_else(|| panic!("{check} was not looked at"))
+    };
+    let with = |from: &str, to: &str, check: &str| {
+        assert!(HAL.contains(from), "{from}");
+        judged(&HAL.replace(from, to), check)
+    };
+    let (time, answers, watchdog) = (
+        "ferrocnc.0's time",
+        "ferrocnc.0's answers",
+        "ferrocnc.0's watchdog",
+    );
+    for check in [time, answers, watchdog] {
+        assert_eq!(judged(HAL, check).0, Good, "{check}");
+    }
+    assert!(judged(HAL, time).1.contains("10 %"));
+    assert!(judged(HAL, watchdog).1.contains("70 %"));
+    assert_eq!(with("80000 ", "980000 ", time).0, Note);
+    assert_eq!(with("2000000 ", "0 ", time).0, Skipped);
+    assert_eq!(
+        with(
+            "0 ferrocnc.0.packet-error-total",
+            "7 ferrocnc.0.packet-error-total",
+            answers
+        ),
+        (Note, "missing 7".into())
+    );
+    assert_eq!(
+        with(
+            "0 ferrocnc.0.packet-error-level",
+            "4 ferrocnc.0.packet-error-level",
+            answers
+        )
+        .0,
+        Bad
+    );
+    assert_eq!(
+        with(
+            "0 ferrocnc.0.link.errors",
+            "2 ferrocnc.0.link.errors",
+            answers
+        ),
+        (Note, "frames damaged 2".into())
+    );
+    assert_eq!(with("3500000 ", "900000 ", watchdog).0, Note);
+    assert_eq!(with("3500000 ", "4294967295 ", watchdog).0, Skipped);
+    assert_eq!(judged("", "the running machine").0, Skipped);
 }
 
 #[test]

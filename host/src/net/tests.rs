@@ -605,6 +605,7 @@ fn read(root: &Path, running: bool) -> Facts {
         root_uid: 0,
         run: &run,
         variable: &|_| Some("/usr/bin".into()),
+        wait: &|_| {},
     };
     Facts::read(&system, "eth1").expect("facts")
 }

@@ -1,13 +1,18 @@
 //! `ferrocnc doctor`: what of this computer makes exchanges late or loses them.
 
 use crate::{consent, findings, soak};
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use clap::Args;
+use ferrocnc::doctor::files::Files;
 use ferrocnc::doctor::fix::{Fix, before, fixes, undo_file, written};
 use ferrocnc::doctor::system::System;
-use ferrocnc::doctor::{Subject, board, examine};
+use ferrocnc::doctor::{Subject, board, examine, line, machine, names};
 use ferrocnc::finding::Report;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// An hour: longer ones are a mistake.
+const LONGEST: f64 = 3600.0;
 
 #[derive(Args)]
 pub(crate) struct Doctor {
@@ -28,6 +33,14 @@ pub(crate) struct Doctor {
     /// Draw the soak there: SVG, or PNG if the name ends in .png.
     #[arg(long, value_name = "FILE", requires = "soak")]
     plot: Option<PathBuf>,
+    /// Count for so many seconds (10) the frames that this computer sends to the port by itself.
+    #[arg(long, value_name = "SECONDS", num_args = 0..=1, default_missing_value = "10",
+          conflicts_with_all = ["soak", "fix", "undo"])]
+    listen: Option<f64>,
+    /// Look at this LinuxCNC configuration, too: its HAL files against the board, step timing,
+    /// limits, homing, watchdog, e-stop.
+    #[arg(long, value_name = "FILE.ini", conflicts_with_all = ["soak", "fix", "undo"])]
+    ini: Option<PathBuf>,
     /// Repair CPU frequency, real-time throttling and power of PCIe, now and for every start of the
     /// computer; asks for each. `ferrocnc net setup` repairs the port.
     #[arg(long, conflicts_with_all = ["address", "interface", "report"])]
@@ -63,19 +76,70 @@ pub(crate) fn run(arguments: &Doctor, as_json: bool) -> Result<()> {
         };
         return soak::run(&system, client, &options);
     }
-    let report = report(arguments.address.as_deref(), arguments.interface.clone())?;
+    let report = report(&Questions {
+        address: arguments.address.as_deref(),
+        interface: arguments.interface.clone(),
+        listen: arguments.listen.map(listening).transpose()?,
+        ini: arguments.ini.as_deref(),
+    })?;
     findings::tell(&report, arguments.report.as_deref(), as_json)
 }
 
-/// Looks at this computer, and at the board if there is one.
-pub(crate) fn report(address: Option<&str>, interface: Option<String>) -> Result<Report> {
-    let client = address.map(crate::open).transpose()?;
+fn listening(seconds: f64) -> Result<Duration> {
+    if !(seconds > 0.0 && seconds <= LONGEST) {
+        bail!("--listen takes seconds, more than 0 and at most an hour: --listen 10");
+    }
+    Ok(Duration::from_secs_f64(seconds))
+}
+
+/// What is to be looked at besides this computer.
+#[derive(Default)]
+pub(crate) struct Questions<'q> {
+    pub(crate) address: Option<&'q str>,
+    pub(crate) interface: Option<String>,
+    pub(crate) listen: Option<Duration>,
+    pub(crate) ini: Option<&'q Path>,
+}
+
+/// Looks at this computer, at the board and at a configuration, if they are named.
+pub(crate) fn report(questions: &Questions<'_>) -> Result<Report> {
+    let system = System::real();
+    let client = questions.address.map(crate::open).transpose()?;
     let board = client.as_ref().map(|client| *client.address().socket.ip());
-    let mut report = examine(&System::real(), &Subject { board, interface });
+    let subject = Subject {
+        board,
+        interface: questions.interface.clone(),
+        listen: questions.listen,
+    };
+    let files = questions.ini.map(|ini| read(&system, ini)).transpose()?;
+    let mut report = examine(&system, &subject);
+    let mut pins = None;
     if let Some(mut client) = client {
-        report.findings.extend(board::examine(&mut client));
+        let asked = board::examine(&system, &mut client, &crate::keys());
+        report.findings.extend(asked);
+        pins = client.identify().ok().and_then(|it| names::pins(&it));
+        // Behind the count of frames, which these questions would be part of.
+        let port = subject.port(&system).unwrap_or_default();
+        report.findings.extend(line::boards(&system, &port));
+        let owners = board.map(|ip| line::owners(&system, &port, ip));
+        report.findings.extend(owners);
+    }
+    if let Some(files) = files {
+        let found = machine::examine(&files, pins.as_deref());
+        report.findings.extend(found);
     }
     Ok(report)
+}
+
+fn read(system: &System<'_>, ini: &Path) -> Result<Files> {
+    // Relative to where the command is given, not to the root.
+    let path = std::path::absolute(ini)?;
+    Files::read(system, &path.to_string_lossy()).with_context(|| {
+        format!(
+            "cannot read {}; name the .ini file that LinuxCNC starts with",
+            ini.display()
+        )
+    })
 }
 
 fn fix(system: &System<'_>, yes: bool) -> Result<()> {

@@ -1,4 +1,5 @@
-//! The images of the package `ferrocnc-images`: a folder per board file, with its flash image.
+//! The images of the package `ferrocnc-images`: a folder per board file, with its flash image, and
+//! its bitstream beside it.
 
 use anyhow::{Result, bail};
 use ferrocnc::flash_file::FlashFile;
@@ -64,7 +65,10 @@ pub(crate) fn of_card(folder: &Path, card: &str, board: Option<&str>) -> Result<
                 Some(board) => format!("{board} for {card}"),
                 None => format!("a {card}"),
             };
-            bail!("no image in {shown} is {what}; it has {}", known.join(", "))
+            bail!(
+                "no image in {shown} is {what}; it has {}: name one with --board, or a file",
+                known.join(", ")
+            )
         }
         _ => {
             let names: Vec<&str> = found.iter().map(|one| one.configuration.as_str()).collect();

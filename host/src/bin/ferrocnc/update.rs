@@ -1,28 +1,43 @@
 //! `ferrocnc update`: writes a new image over the network.
 
 use crate::discover::Where;
+use crate::images;
 use crate::progress::Bar;
 use crate::set::parse_uid;
 use anyhow::{Context, Result, bail};
 use clap::{ArgGroup, Args, ValueEnum};
+use ferrocnc::client::Client;
 use ferrocnc::flash::Word;
 use ferrocnc::image::Image;
 use ferrocnc::provision;
 use ferrocnc::update::{Event, Options, Report, update};
 use serde_json::json;
 use std::cell::RefCell;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
+use wire::board::Kind;
 
 #[derive(Args)]
-#[command(group(ArgGroup::new("which").required(true).args(["board", "uid"])), allow_missing_positional = true)]
+#[command(group(ArgGroup::new("which").required(true).multiple(true).args(["board", "uid"])))]
 pub(crate) struct Update {
     /// IP[:port] of the board, unless --uid names it.
     #[arg(value_name = "BOARD")]
     board: Option<String>,
-    /// The bitstream, NAME.bit.
-    #[arg(value_name = "FILE", required = true)]
-    file: PathBuf,
+    /// The bitstream, NAME.bit; that of the installed package for the board's card and board file
+    /// if not given.
+    #[arg(value_name = "FILE")]
+    file: Option<PathBuf>,
+    /// Take the installed image of this board file instead, for the same card.
+    #[arg(
+        id = "configuration",
+        long = "board",
+        value_name = "NAME",
+        conflicts_with = "file"
+    )]
+    configuration: Option<String>,
+    /// Where installed images are.
+    #[arg(long, value_name = "DIR", default_value = images::INSTALLED)]
+    images: PathBuf,
     /// The board with this unique id (ferrocnc discover shows ids).
     #[arg(long, value_name = "UID", value_parser = parse_uid)]
     uid: Option<[u32; 2]>,
@@ -48,16 +63,62 @@ enum Slot {
     B,
 }
 
-pub(crate) fn run(arguments: &Update, as_json: bool) -> Result<()> {
-    let file = &arguments.file;
+impl Update {
+    /// The board's address and the file, of those that are named: with --uid, what stands alone is
+    /// the file.
+    fn named(&self) -> Result<(Option<&str>, Option<&Path>)> {
+        let (board, file) = (self.board.as_deref(), self.file.as_deref());
+        match (self.uid, board, file) {
+            (Some(_), Some(_), Some(_)) => {
+                bail!("--uid names the board already; leave its address out")
+            }
+            (Some(_), Some(_), None) if self.configuration.is_some() => {
+                bail!("a file and --board; name one of the two")
+            }
+            (Some(_), file, None) => Ok((None, file.map(Path::new))),
+            (_, board, file) => Ok((board, file)),
+        }
+    }
+
+    fn client(&self, board: Option<&str>) -> Result<Client> {
+        match (board, self.uid) {
+            (Some(address), _) => crate::open(address),
+            (None, Some(uid)) => Ok(provision::reach(&self.wherever.finder()?, uid)?
+                .1
+                .with_keys(crate::keys())),
+            (None, None) => bail!("which board? Name its address or --uid"),
+        }
+    }
+
+    /// The installed image for the card that the board says it is.
+    fn installed(&self, client: &mut Client) -> Result<PathBuf> {
+        let identity = client.identify()?;
+        let blob = identity.blob();
+        let said = |kind| blob.text(kind, 0).filter(|text| !text.is_empty());
+        let Some(card) = said(Kind::Platform) else {
+            bail!(
+                "the board does not say which card it is; name a file: ferrocnc update BOARD NAME.bit"
+            );
+        };
+        let board = self.configuration.as_deref();
+        let board = board.or_else(|| said(Kind::Configuration));
+        Ok(images::of_card(&self.images, card, board)?.with_extension("bit"))
+    }
+}
+
+fn read(file: &Path) -> Result<Image> {
     let bytes = std::fs::read(file).with_context(|| format!("cannot read {}", file.display()))?;
-    let image = Image::parse(&bytes).with_context(|| file.display().to_string())?;
-    let client = match (&arguments.board, arguments.uid) {
-        (Some(address), _) => crate::open(address)?,
-        (None, Some(uid)) => provision::reach(&arguments.wherever.finder()?, uid)?
-            .1
-            .with_keys(crate::keys()),
-        (None, None) => bail!("which board? Name its address or --uid"),
+    Image::parse(&bytes).with_context(|| file.display().to_string())
+}
+
+pub(crate) fn run(arguments: &Update, as_json: bool) -> Result<()> {
+    let (board, file) = arguments.named()?;
+    let (image, client) = match file {
+        Some(file) => (read(file)?, arguments.client(board)?),
+        None => {
+            let mut client = arguments.client(board)?;
+            (read(&arguments.installed(&mut client)?)?, client)
+        }
     };
     let options = Options {
         slot: arguments.slot.map(|slot| match slot {

@@ -1,6 +1,6 @@
 //! Made-up computers, each with one thing wrong.
 
-use super::{MODULE, Made, RTAPI_APP};
+use super::{MODULE, Made, RTAPI_APP, elf};
 use crate::finding::Verdict::{self, Bad, Good, Note, Skipped};
 
 /// What is wrong, the check that tells of it, its verdict, and a word of the remedy.
@@ -74,6 +74,37 @@ pub(super) const FAULTS: &[Fault] = &[
         "module",
         Bad,
         "build it",
+    ),
+    (
+        |m| m.bytes(MODULE, &elf(1, env!("CARGO_PKG_VERSION"))),
+        "module",
+        Bad,
+        "architecture",
+    ),
+    (|m| m.mode(MODULE, 0o600), "module", Bad, "chmod a+r"),
+    (
+        |m| m.bytes(MODULE, &elf(2, "0.0.1")),
+        "release of the module",
+        Note,
+        "install-module",
+    ),
+    (
+        |m| m.bytes(MODULE, &elf(2, "")[..64]),
+        "release of the module",
+        Note,
+        "install-module",
+    ),
+    (
+        |m| m.file("sys/devices/system/cpu/intel_pstate/no_turbo", "0"),
+        "BIOS",
+        Note,
+        "hwlatdetect",
+    ),
+    (
+        |m| m.file("sys/class/dmi/id/bios_version", "1.2"),
+        "BIOS",
+        Skipped,
+        "hwlatdetect",
     ),
     (
         |m| {
@@ -517,5 +548,40 @@ pub(super) const FAULTS: &[Fault] = &[
         "programs that send there",
         Good,
         "",
+    ),
+    (
+        |m| m.file("proc/812/comm", "nmap"),
+        "pings and scans",
+        Note,
+        "while the machine runs",
+    ),
+    (
+        |m| {
+            m.file(
+                "proc/net/arp",
+                "IP address HW type Flags HW address Mask Device\n192.168.2.50 0x1 0x6 02:00:00:00:00:01 * eth1\n192.168.2.9 0x1 0x2 02:00:00:00:00:02 * eth1\n192.168.2.8 0x1 0x0 00:00:00:00:00:00 * eth1\n10.0.0.1 0x1 0x2 02:00:00:00:00:03 * eth0\n",
+            )
+        },
+        "switch in between",
+        Note,
+        "nothing but boards",
+    ),
+    (
+        |m| m.lldp = "lldp.eth1.via=LLDP\nlldp.eth1.chassis.name=switch\n",
+        "switch in between",
+        Note,
+        "a cable",
+    ),
+    (
+        |m| m.sends = true,
+        "frames sent there",
+        Note,
+        "tcpdump -ni eth1",
+    ),
+    (
+        |m| m.file("proc/812/comm", "rtapi_app"),
+        "frames sent there",
+        Skipped,
+        "end LinuxCNC",
     ),
 ];

@@ -59,8 +59,14 @@ pub(super) struct Patient {
 
 /// `ferrocnc doctor`.
 pub(super) async fn doctor(Query(patient): Query<Patient>) -> Answer {
-    let report =
-        answered(move || doctor::report(patient.board.as_deref(), patient.interface)).await?;
+    let report = answered(move || {
+        doctor::report(&doctor::Questions {
+            address: patient.board.as_deref(),
+            interface: patient.interface,
+            ..doctor::Questions::default()
+        })
+    })
+    .await?;
     Ok(Json(report.to_json()))
 }
 
