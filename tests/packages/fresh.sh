@@ -80,6 +80,8 @@ loadrt threads name1=servo-thread period1=1000000
 loadrt ferrocnc boards=$BOARD
 addf ferrocnc.0.read servo-thread
 addf ferrocnc.0.write servo-thread
+# 100 ms: a busy computer answers late.
+setp ferrocnc.0.packet-read-timeout 100000000
 start
 loadusr -w sleep 1
 show pin ferrocnc.0.link.up
