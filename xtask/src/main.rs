@@ -16,6 +16,7 @@ mod lint;
 mod mutants;
 mod netlist;
 mod passes;
+mod pictures;
 mod python;
 mod regen;
 mod release;
@@ -64,6 +65,8 @@ enum Task {
     Bench(bench::Options),
     /// Build the documentation site into target/book, after a check of all links.
     Docs,
+    /// Take the pictures of the tool's pages in docs/ui.md anew.
+    Pictures,
     /// Write docs/figures.md and the marked places of other pages from docs/figures.json.
     Figures(figures::Options),
     /// Count the lines of each crate, circles of modules, what is too long and clippy's warnings,
@@ -93,6 +96,7 @@ fn main() -> std::process::ExitCode {
         Task::Release(options) => release::run(&options),
         Task::Bench(options) => bench::run(&options),
         Task::Docs => docs::run(),
+        Task::Pictures => pictures::run(),
         Task::Figures(options) => figures::run(&options),
         Task::Counts(options) => counts::run(&options),
         Task::Fuzz(options) => fuzz::run(&options),

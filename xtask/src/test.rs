@@ -109,6 +109,14 @@ const ALL: &[Level] = &[
     Level::Bitstream,
 ];
 
+/// The tests of the tool's pages, which leave pictures of them.
+pub fn pages() -> Result<()> {
+    run(&Options {
+        levels: vec![Level::Ui],
+        ..Options::default()
+    })
+}
+
 /// Runs the levels and prints one line for each.
 pub fn run(options: &Options) -> Result<()> {
     let levels = match options {
