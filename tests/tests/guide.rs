@@ -107,13 +107,14 @@ fn line(page: &str, begins: &str) -> String {
     found.swap_remove(0)
 }
 
-const PAGES: [&str; 8] = [
+const PAGES: [&str; 9] = [
     "breakout.md",
     "first-light.md",
     "first-machine.md",
     "jobs.md",
     "machine.md",
     "plotter.md",
+    "test.md",
     "troubleshooting.md",
     "tuning.md",
 ];

@@ -59,7 +59,10 @@ const FILES: &[(&str, &str)] = &[
     ("sys/class/net/eth1/speed", "1000"),
     ("sys/class/net/eth1/duplex", "full"),
     ("sys/class/net/eth1/mtu", "1500"),
-    ("sys/class/net/eth1/statistics/tx_packets", "1000"),
+    (
+        "proc/net/dev",
+        "Inter-| Receive | Transmit\n eth1: 9 8 0 0 0 0 0 0 7 1000 0 0 0 0 0 0",
+    ),
     ("sys/class/net/eth1/statistics/rx_errors", "0"),
     ("sys/class/net/eth1/statistics/rx_crc_errors", "0"),
     ("sys/class/net/eth1/queues/rx-0/rps_cpus", "0"),
@@ -221,7 +224,7 @@ impl Made {
             },
             wait: &|_| {
                 if self.sends {
-                    self.file("sys/class/net/eth1/statistics/tx_packets", "1003");
+                    self.file("proc/net/dev", " eth1: 9 8 0 0 0 0 0 0 7 1003 0 0 0 0 0 0");
                 }
             },
         };

@@ -298,13 +298,23 @@ fn on_the_bench_an_axis_moves_while_its_button_is_held_and_only_one_page_has_the
     let outputs = || told(&board, "pins", "gpio_out");
     let off = outputs();
     let flood = browser.button("flood on for 3 s");
+    browser.click(&flood);
     browser.until("the output is on", || {
-        browser.click(&flood);
-        outputs() != off
+        let is_on = outputs() != off;
+        // A busy computer may have looked away for its three seconds.
+        if !is_on && browser.text().contains("flood is off again") {
+            browser.click(&flood);
+        }
+        is_on
     });
     browser.says("flood is off again");
     assert_eq!(outputs(), off);
 
+    // Further than it gets before the key is released, on a busy computer, too.
+    for distance in ["1000 steps", "10000 steps"] {
+        browser.click(&browser.button("x: another distance"));
+        browser.says(distance);
+    }
     // A key that is held, until it is released.
     let key = |kind: &str| {
         let script = format!(
