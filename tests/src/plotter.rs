@@ -61,6 +61,15 @@ impl Plotter {
         Plotter::switched_on(facts, None, "")
     }
 
+    /// The same, so many times slower than real time: a client that a busy computer makes late is
+    /// not one that has gone.
+    pub fn paced(slower: u32) -> Self {
+        let mut facts = BoardFacts::plain(CHANNELS, CLOCK);
+        facts.jobs = AXES as u8;
+        let pace = f64::from(CLOCK) / f64::from(slower);
+        Plotter::switched_on(facts, Some(pace), "")
+    }
+
     /// The same without SDRAM, so many times slower than real time. Its time waits for the PC that
     /// streams, which a busy computer makes late: [`Plotter::waits_for_its_pc`]. Its jobs have no
     /// executor yet.

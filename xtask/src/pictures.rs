@@ -6,7 +6,14 @@ use anyhow::{Context, Result};
 use std::fs;
 
 /// A picture of each of these pages.
-const PAGES: [&str; 5] = ["boards", "dashboard", "configurator", "machine", "bench"];
+const PAGES: [&str; 6] = [
+    "boards",
+    "dashboard",
+    "configurator",
+    "machine",
+    "jobs",
+    "bench",
+];
 
 /// Runs the tests, and takes what they leave.
 pub fn run() -> Result<()> {

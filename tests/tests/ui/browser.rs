@@ -253,7 +253,9 @@ impl Browser {
     #[track_caller]
     pub fn downloaded(&self, name: &str) -> String {
         let path = self.folder.join(name);
-        self.until(&format!("{name} is downloaded"), || path.is_file());
+        // The browser first makes an empty file, to have the name.
+        let is_there = || path.metadata().is_ok_and(|file| file.len() > 0);
+        self.until(&format!("{name} is downloaded"), is_there);
         std::fs::read_to_string(&path).expect("a text")
     }
 

@@ -5,10 +5,13 @@ mod browser;
 
 use browser::{Browser, DOWN, ENTER, RIGHT, TAB};
 use ferrocnc_tests::driver::Driver;
+use ferrocnc_tests::plotter::Plotter;
 use ferrocnc_tests::{Simulator, control, program, root};
+use ferrocnc_tests::{drawing, pins};
 use std::io::{BufRead as _, BufReader};
 use std::net::{SocketAddr, UdpSocket};
 use std::process::{Child, Command, Stdio};
+use wire::jobs::End;
 
 /// The server; it ends with the test.
 struct Server {
@@ -260,6 +263,62 @@ fn a_machine_is_asked_for_drawn_and_the_files_shown_are_those_that_the_command_w
         let written = std::fs::read_to_string(folder.join(name.expect("a name")));
         assert_eq!(text, written.ok().as_deref(), "{name:?}");
     }
+}
+
+#[test]
+fn a_drawing_that_was_dropped_is_drawn_sent_and_executed_to_its_last_edge() {
+    let plotter = Plotter::paced(4);
+    let (server, browser) = (Server::start(), Browser::start("jobs"));
+    browser.open(&server.page(&format!("jobs/{}", plotter.jobs)));
+    browser.says("stopped");
+    let machine = drawing::folder().join("machine.toml");
+    let machine = std::fs::read_to_string(machine).expect("the machine");
+    browser.drop_file("plotter.toml", &machine);
+    browser.drop_file("drawing.svg", &drawing::text());
+    let set = |label: &str, value: f64| {
+        let script = format!(
+            "const all = [...document.querySelectorAll('label')]; \
+             const it = all.find((it) => it.textContent.startsWith('{label}')).querySelector('input'); \
+             it.value = '{value}'; it.dispatchEvent(new Event('input', {{ bubbles: true }}))"
+        );
+        browser.js(&script, &[]);
+    };
+    set("Tolerance", drawing::TOLERANCE);
+    set("Feed", drawing::FEED);
+    let program = drawing::program(drawing::TOLERANCE);
+    browser.says("Takes");
+    in_order(&browser);
+
+    browser.click(&browser.button("Send"));
+    browser.says(&format!("{} instructions", program.instructions.len()));
+    browser.click(&browser.button("Start"));
+    let ended = |end: End| format!("Ended last\n{}", end.text());
+    browser.until("it is drawn", || browser.text().contains(&ended(End::Done)));
+    browser.js("scrollTo(0, 0)", &[]);
+    browser.picture("jobs");
+
+    // Once more, paused, continued and stopped.
+    browser.click(&browser.button("Start"));
+    browser.says("running");
+    browser.click(&browser.button("Pause"));
+    browser.says("paused");
+    browser.click(&browser.button("Continue"));
+    browser.says("running");
+    browser.click(&browser.button("Stop"));
+    browser.until("it is stopped", || {
+        browser.text().contains(&ended(End::Stopped))
+    });
+
+    browser.drop_file("wrong.ngc", "G1 X1 Q\n");
+    browser.until("it is refused", || !browser.all("p.problem").is_empty());
+
+    drop((browser, server));
+    let told = pins::predict(&program, &drawing::machine()).unwrap_or_else(|why| panic!("{why}"));
+    let emitted = plotter.events();
+    let difference = told.compare(&emitted[..told.events.len()]);
+    println!("{} edges, {} differ", difference.edges, difference.wrong);
+    assert!(difference.edges > 10_000);
+    assert_eq!(difference.wrong, 0);
 }
 
 /// A number that the board's control tells of it.

@@ -2,8 +2,10 @@
 //! and sends them to a board for execution.
 
 mod board;
+mod page;
 
 pub(crate) use board::tell;
+pub(crate) use page::{Parcel, Sheet, Told, look, open};
 
 use crate::consent;
 use crate::progress::Bar;

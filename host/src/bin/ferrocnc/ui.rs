@@ -1,8 +1,9 @@
 //! `ferrocnc ui`: the tool's answers as pages in a browser, from a server on this computer.
 //!
 //! It decides nothing: each answer of the [`api`] is what a command prints with `--json`, and the
-//! pages show it. It writes no file, and takes no session but for [`bench`]. It listens at
-//! 127.0.0.1 only, and answers only a page that it has sent itself ([`guard`]).
+//! pages show it. It writes no file, takes no session but for [`bench`], and commands no board but
+//! for jobs. It listens at 127.0.0.1 only, and answers only a page that it has sent itself
+//! ([`guard`]).
 
 mod answer;
 mod api;
@@ -13,6 +14,7 @@ mod web;
 
 use anyhow::{Context, Result, bail};
 use axum::Router;
+use axum::extract::DefaultBodyLimit;
 use axum::middleware::from_fn_with_state;
 use axum::routing::{get, post};
 use clap::Args;
@@ -25,6 +27,9 @@ use tokio::net::TcpListener;
 
 /// Boards that are asked at once: every page keeps two streams open, and a browser six.
 const THREADS: usize = 32;
+
+/// Bytes of a drawing or a program that a page sends.
+const LARGEST: usize = 64 << 20;
 
 #[derive(Args)]
 pub(crate) struct Ui {
@@ -79,6 +84,7 @@ async fn serve(arguments: &Ui, board: Option<&str>, as_json: bool) -> Result<()>
 
 /// What there is, behind the guard.
 fn pages(guard: Guard, patience: Duration) -> Router {
+    let large = DefaultBodyLimit::max(LARGEST);
     let answers = Router::new()
         .route("/discover", get(api::discover))
         .route("/describe", get(api::describe))
@@ -95,6 +101,10 @@ fn pages(guard: Guard, patience: Duration) -> Router {
         .route("/machine/new", post(api::machine_new))
         .route("/machine/check", post(api::machine_check))
         .route("/machine/put", post(api::machine_put))
+        .route("/job/drawn", post(api::job_drawn).layer(large))
+        .route("/job/send", post(api::job_send).layer(large))
+        .route("/job/order", post(api::job_order))
+        .route("/job/watch", get(live::jobs))
         .merge(bench::routes(patience))
         .fallback(web::missing);
     let base = guard.token();

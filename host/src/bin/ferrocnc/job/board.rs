@@ -245,7 +245,7 @@ fn serve(address: &str, at: SocketAddr, as_json: bool) -> Result<()> {
 }
 
 /// Adds the remedy of docs/jobs.md to a refusal.
-fn hinted(error: JobError) -> anyhow::Error {
+pub(super) fn hinted(error: JobError) -> anyhow::Error {
     let hint = match &error {
         JobError::Refused(_, Status::NoMachine, _) => Some("--machine MACHINE.toml sends one"),
         JobError::Refused(_, Status::NoSuchJob, _) => Some("ferrocnc job list shows those it has"),
@@ -262,16 +262,16 @@ pub(crate) fn tell(board: &mut Board, machine: Option<&Path>) -> Result<()> {
         return Ok(());
     };
     let machine = MachineFile::read(file).map_err(|error| anyhow!(error))?;
+    put(board, &machine).with_context(|| file.display().to_string())
+}
+
+/// Tells the board which machine it moves.
+pub(super) fn put(board: &mut Board, machine: &MachineFile) -> Result<()> {
     let theirs = board.welcome().clock_hz;
     if machine.clock != theirs {
-        bail!(
-            "{}: clock = {}, but the board's is {theirs}",
-            file.display(),
-            machine.clock
-        );
+        bail!("clock = {}, but the board's is {theirs}", machine.clock);
     }
-    let told = board.put_machine(&machine.to_board());
-    told.with_context(|| file.display().to_string())
+    Ok(board.put_machine(&machine.to_board())?)
 }
 
 fn say(board: &Where, code: JobCommand, as_json: bool) -> Result<()> {
@@ -347,14 +347,14 @@ fn list(board: &mut Board, as_json: bool) -> Result<()> {
     ))
 }
 
-fn entry_json(entry: &Entry) -> Value {
+pub(super) fn entry_json(entry: &Entry) -> Value {
     json!({
         "name": entry.name.text(), "ready": entry.ready, "bytes": entry.total, "arrived": entry.have,
         "crc": format!("{:08x}", entry.crc), "instructions": entry.instructions,
     })
 }
 
-fn report_json(report: &Report) -> Value {
+pub(super) fn report_json(report: &Report) -> Value {
     let axis = (report.axis != 0xff).then(|| client::axis_name(report.axis));
     json!({
         "state": report.state.text(), "name": report.name.text(), "progress": report.progress, "line": report.line,

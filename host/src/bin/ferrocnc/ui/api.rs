@@ -3,7 +3,7 @@
 use super::answer::{Answer, Refusal, answered};
 use crate::config::{self, New};
 use crate::describe::Description;
-use crate::{discover, doctor, machine};
+use crate::{discover, doctor, job, machine};
 use axum::Json;
 use axum::extract::Query;
 use axum::http::header::CONTENT_TYPE;
@@ -168,4 +168,19 @@ pub(super) async fn machine_check(Json(text): Json<MachineText>) -> Answer {
 pub(super) async fn machine_put(Json(answer): Json<machine::Answer>) -> Answer {
     let toml = answered(move || machine::put(&answer)).await?;
     Ok(Json(json!({ "toml": toml })))
+}
+
+/// `ferrocnc job preview` and `check`, of a drawing or a program that is only on the page.
+pub(super) async fn job_drawn(Json(sheet): Json<job::Sheet>) -> Answer {
+    Ok(Json(answered(move || sheet.drawn()).await?))
+}
+
+/// `ferrocnc job send`.
+pub(super) async fn job_send(Json(parcel): Json<job::Parcel>) -> Answer {
+    Ok(Json(answered(move || parcel.send()).await?))
+}
+
+/// `ferrocnc job start`, `pause`, `continue`, `stop` and `home`.
+pub(super) async fn job_order(Json(told): Json<job::Told>) -> Answer {
+    Ok(Json(answered(move || told.take()).await?))
 }

@@ -3,7 +3,7 @@
 
 use super::api::At;
 use crate::log::{self, Said};
-use crate::watch;
+use crate::{job, watch};
 use anyhow::{Result, bail};
 use axum::extract::Query;
 use axum::response::sse::{Event, KeepAlive, KeepAliveStream, Sse};
@@ -63,6 +63,17 @@ pub(super) async fn log(Query(at): Query<At>) -> Events {
                 Said::Looked => Ok(()),
             },
         )
+    })
+}
+
+/// `ferrocnc job watch BOARD`; it keeps a job going that was started from the page.
+pub(super) async fn jobs(Query(at): Query<At>) -> Events {
+    stream(move |page| {
+        let mut board = job::open(&at.board)?;
+        loop {
+            page.send("line", &job::look(&mut board)?)?;
+            std::thread::sleep(LOOK);
+        }
     })
 }
 

@@ -33,6 +33,7 @@ const FILES: &[(&str, &str, &str)] = files![
     "doctor.js": JS,
     "bench.js": JS,
     "machine.js": JS,
+    "jobs.js": JS,
     "files.js": JS,
     "vendor/preact-htm.js": JS,
     "vendor/LICENSE-htm": PLAIN,

@@ -6,6 +6,7 @@ import { Boards } from "./boards.js";
 import { Configurator } from "./configurator.js";
 import { Dashboard } from "./dashboard.js";
 import { Doctor } from "./doctor.js";
+import { Jobs } from "./jobs.js";
 import { Machine } from "./machine.js";
 
 const PAGES = {
@@ -13,6 +14,7 @@ const PAGES = {
   dashboard: ["Dashboard", Dashboard],
   configurator: ["Configurator", Configurator],
   machine: ["Machine", Machine],
+  jobs: ["Jobs", Jobs],
   bench: ["Bench", Bench],
   doctor: ["Doctor", Doctor],
 };
