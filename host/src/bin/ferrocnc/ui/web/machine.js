@@ -132,15 +132,18 @@ function Verdict({ judged, goto }) {
     </ul>`;
 }
 
-/** The form: an answer is taken when it is left, or with Enter. */
+/**
+ * The form: an answer is taken when it is left, or with Enter. What is being typed stays when the
+ * page is drawn again; a field is a new one when its answer in the text is another.
+ */
 function Questions({ judged, answer }) {
   const groups = new Map();
   for (const it of judged.questions) groups.set(it.group, [...(groups.get(it.group) ?? []), it]);
   return html`<details open><summary>Questions</summary>
     ${[...groups].map(([group, asked]) => html`<fieldset><legend>${group}</legend>
       <div class="row">${asked.map((it) => html`
-        <label class="field" key=${`${group} ${it.key}`}><span>${it.asks}</span>
-          <input value=${it.value} onChange=${(event) => answer(it, event.target.value)} /></label>`)}
+        <label class="field" key=${`${group} ${it.key} ${it.value}`}><span>${it.asks}</span>
+          <input defaultValue=${it.value} onChange=${(event) => answer(it, event.target.value)} /></label>`)}
       </div></fieldset>`)}
   </details>`;
 }
