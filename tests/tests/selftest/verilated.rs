@@ -20,7 +20,7 @@ impl Board<Rig> {
         let mut board = Self::around(rig, 50);
         board.rate = HURRY;
         // It is this computer's time that the host waits, and a Verilated board needs much of that.
-        board.patience = Duration::from_secs(5);
+        board.patience = Duration::from_secs(60);
         board
     }
 
