@@ -217,17 +217,19 @@ fn a_machine_is_asked_for_drawn_and_the_files_shown_are_those_that_the_command_w
     // An answer goes into the text, and its comment stays.
     let pitch = "fieldset:nth-of-type(2) label:nth-of-type(4) input";
     assert_eq!(browser.value_of(pitch), "5");
+    // At once, as the page may put a new field in its place at any time.
     let answer = |text: &str| {
-        browser.fill(pitch, text);
-        let left = format!(
-            "document.querySelector('{pitch}').dispatchEvent(new Event('change', {{ bubbles: true }}))"
+        let script = format!(
+            "const it = document.querySelector('{pitch}'); it.value = '{text}'; \
+             it.dispatchEvent(new Event('change', {{ bubbles: true }}))"
         );
-        browser.js(&left, &[]);
+        browser.js(&script, &[]);
     };
     answer("4");
     browser.until("the answer is in the text", || {
         browser.value_of("textarea").contains("\npitch = 4 ")
     });
+    browser.until("the field has it", || browser.value_of(pitch) == "4");
     browser.picture("machine");
     answer("four");
     browser.until("it is refused", || !browser.all("p.problem").is_empty());
