@@ -56,37 +56,25 @@ pub struct Plotter {
 impl Plotter {
     /// Switched on; its steps and its pen are being watched.
     pub fn twin() -> Self {
-        let mut facts = BoardFacts::plain(CHANNELS, CLOCK);
-        facts.jobs = AXES as u8;
-        Plotter::switched_on(facts, None, "")
+        Plotter::with(true, None, "")
     }
 
     /// The same, so many times slower than real time: a client that a busy computer makes late is
     /// not one that has gone.
     pub fn paced(slower: u32) -> Self {
-        let mut facts = BoardFacts::plain(CHANNELS, CLOCK);
-        facts.jobs = AXES as u8;
-        let pace = f64::from(CLOCK) / f64::from(slower);
-        Plotter::switched_on(facts, Some(pace), "")
+        Plotter::with(true, Some(slower), "")
     }
 
     /// The same without SDRAM, so many times slower than real time. Its time waits for the PC that
     /// streams, which a busy computer makes late: [`Plotter::waits_for_its_pc`]. Its jobs have no
     /// executor yet.
     pub fn without_sdram(slower: u32) -> Self {
-        Plotter::bare(slower, "")
-    }
-
-    fn bare(slower: u32, trouble: &str) -> Self {
-        let mut facts = BoardFacts::plain(CHANNELS, CLOCK);
-        (facts.jobs, facts.sdram) = (AXES as u8, false);
-        let pace = f64::from(CLOCK) / f64::from(slower);
-        Plotter::switched_on(facts, Some(pace), trouble)
+        Plotter::with(false, Some(slower), "")
     }
 
     /// The same with these faults on the wire and with an executor of its jobs in this process.
     pub fn streamed(slower: u32, trouble: &str) -> Self {
-        let mut plotter = Plotter::bare(slower, trouble);
+        let mut plotter = Plotter::with(false, Some(slower), trouble);
         let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
         let streamer = Streamer::open(&plotter.address(), Keys::default(), any);
         let mut streamer = streamer.unwrap_or_else(|error| panic!("{error}"));
@@ -101,8 +89,11 @@ impl Plotter {
         plotter
     }
 
-    fn switched_on(facts: BoardFacts, pace: Option<f64>, trouble: &str) -> Self {
-        let streamed = !facts.sdram;
+    fn with(sdram: bool, slower: Option<u32>, trouble: &str) -> Self {
+        let mut facts = BoardFacts::plain(CHANNELS, CLOCK);
+        (facts.jobs, facts.sdram) = (AXES as u8, sdram);
+        let pace = slower.map(|slower| f64::from(CLOCK) / f64::from(slower));
+        let streamed = !sdram;
         let alone = streamed.then(|| u64::from(CLOCK) / 1_000_000 * ALONE_US);
         let mut twin = Twin::power_up(Setup::new(facts, Plant::default()));
         if !trouble.is_empty() {

@@ -167,6 +167,29 @@ impl Simulator {
         self.control.expect("no place of a network has one")
     }
 
+    /// A field of what the control answers.
+    pub fn told(&self, command: &str, name: &str) -> String {
+        let said = control(self.control(), command);
+        let begins = format!("{name}=");
+        let word = said
+            .split_whitespace()
+            .find_map(|word| word.strip_prefix(&*begins));
+        word.unwrap_or_else(|| panic!("no {name} in {said}"))
+            .to_owned()
+    }
+
+    /// Pulses at the pins of the first motor.
+    pub fn steps(&self) -> i64 {
+        let counts = self.told("counts", "counts");
+        let first = counts.split(',').next();
+        first.and_then(|n| n.parse().ok()).expect("a count")
+    }
+
+    /// The outputs are live.
+    pub fn is_open(&self) -> bool {
+        self.told("pins", "gate") == "1"
+    }
+
     /// So many milliseconds of the board's time pass without a host.
     pub fn run_ms(&self, millis: u64) {
         control(self.control(), &format!("run-ms {millis}"));

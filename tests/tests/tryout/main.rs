@@ -104,31 +104,9 @@ fn twin() -> Simulator {
     Simulator::twin(&["--mode", "lockstep", "--period-ns", &period])
 }
 
-/// A field of what the twin's control answers.
-fn field(twin: &Simulator, command: &str, name: &str) -> String {
-    let said = control(twin.control(), command);
-    let begins = format!("{name}=");
-    let word = said
-        .split_whitespace()
-        .find_map(|word| word.strip_prefix(&*begins));
-    word.unwrap_or_else(|| panic!("no {name} in {said}"))
-        .to_owned()
-}
-
-/// Pulses at the pins of the first motor.
-fn steps(twin: &Simulator) -> i64 {
-    let counts = field(twin, "counts", "counts");
-    let first = counts.split(',').next();
-    first.and_then(|n| n.parse().ok()).expect("a count")
-}
-
-fn gate(twin: &Simulator) -> bool {
-    field(twin, "pins", "gate") == "1"
-}
-
 /// The levels of the outputs' pins.
 fn outputs(twin: &Simulator) -> u64 {
-    let levels = field(twin, "pins", "gpio_out");
+    let levels = twin.told("pins", "gpio_out");
     u64::from_str_radix(levels.trim_start_matches("0x"), 16).expect("levels")
 }
 
@@ -170,13 +148,13 @@ fn select(terminal: &Terminal, name: &str) {
 /// Waits until the axis has stood for a second of the board's time; where it stands.
 fn stands(terminal: &Terminal, twin: &Simulator) -> i64 {
     let clock = || {
-        field(twin, "counts", "clock")
+        twin.told("counts", "clock")
             .parse::<u64>()
             .expect("a clock")
     };
-    let (mut since, mut at) = (clock(), steps(twin));
+    let (mut since, mut at) = (clock(), twin.steps());
     terminal.until("it stands", || {
-        let (now, here) = (clock(), steps(twin));
+        let (now, here) = (clock(), twin.steps());
         if here != at {
             (since, at) = (now, here);
         }
@@ -203,7 +181,7 @@ fn outputs_are_switched_an_axis_is_jogged_while_the_key_repeats_and_its_scale_is
     ];
     let terminal = Terminal::new("jog", &arguments);
     terminal.wait("a arms; nothing is driven before");
-    assert!(!gate(&twin));
+    assert!(!twin.is_open());
 
     // Another program is refused meanwhile.
     let second = Command::new(program("ferrocnc"))
@@ -217,7 +195,7 @@ fn outputs_are_switched_an_axis_is_jogged_while_the_key_repeats_and_its_scale_is
 
     terminal.press("a");
     terminal.wait("ARMED");
-    assert!(gate(&twin));
+    assert!(twin.is_open());
     select(&terminal, "flood");
     let off = outputs(&twin);
     terminal.press("Enter");
@@ -236,10 +214,10 @@ fn outputs_are_switched_an_axis_is_jogged_while_the_key_repeats_and_its_scale_is
     select(&terminal, "x");
     terminal.press("Right");
     terminal.wait("released before it moved");
-    assert_eq!(steps(&twin), 0, "a press alone");
+    assert_eq!(twin.steps(), 0, "a press alone");
     terminal.until("1 mm, of one jog or several", || {
         terminal.hold("Right");
-        (steps(&twin) >= 320).then_some(())
+        (twin.steps() >= 320).then_some(())
     });
     let from = stands(&terminal, &twin);
     // The next one is released on the way: it stops short of its 10 mm.
@@ -247,7 +225,7 @@ fn outputs_are_switched_an_axis_is_jogged_while_the_key_repeats_and_its_scale_is
     terminal.press("d");
     terminal.until("it moves again", || {
         terminal.hold("Right");
-        (steps(&twin) > from + 100).then_some(())
+        (twin.steps() > from + 100).then_some(())
     });
     terminal.wait("released");
     let at = stands(&terminal, &twin);
@@ -272,8 +250,8 @@ fn outputs_are_switched_an_axis_is_jogged_while_the_key_repeats_and_its_scale_is
 
     terminal.press("q");
     terminal.wait("ended with 0");
-    control(twin.control(), "run-ms 1000");
-    assert!(!gate(&twin));
+    twin.run_ms(1000);
+    assert!(!twin.is_open());
 }
 
 #[test]
@@ -292,16 +270,16 @@ fn a_lost_link_stops_the_axis_and_nothing_moves_until_it_is_armed_again() {
     }
     terminal.until("it moves", || {
         terminal.hold("Right");
-        (steps(&twin) > 20).then_some(())
+        (twin.steps() > 20).then_some(())
     });
     control(twin.control(), "fault pull");
     terminal.wait("NO ANSWER");
-    control(twin.control(), "run-ms 1000");
-    assert!(!gate(&twin));
-    let stopped = steps(&twin);
+    twin.run_ms(1000);
+    assert!(!twin.is_open());
+    let stopped = twin.steps();
     control(twin.control(), "fault plug");
     terminal.until("the board answers", || {
-        control(twin.control(), "run-ms 10");
+        twin.run_ms(10);
         terminal.screen().contains("OFF").then_some(())
     });
     for _ in 0..3 {
@@ -309,7 +287,7 @@ fn a_lost_link_stops_the_axis_and_nothing_moves_until_it_is_armed_again() {
         terminal.wait("a arms first");
     }
     assert_eq!(stands(&terminal, &twin), stopped);
-    assert!(!gate(&twin));
+    assert!(!twin.is_open());
 }
 
 #[test]
@@ -323,7 +301,7 @@ fn a_terminal_that_is_closed_switches_off() {
     terminal.press("a");
     terminal.wait("ARMED");
     terminal.tmux(&["kill-server"]);
-    terminal.until("the gate is closed", || (!gate(&twin)).then_some(()));
+    terminal.until("the gate is closed", || (!twin.is_open()).then_some(()));
 }
 
 #[test]

@@ -2,7 +2,7 @@
 //! made-up times and the twin's time passes with the exchanges, so the computer's speed is none of
 //! it.
 
-use crate::{PERIOD, gate, steps, twin};
+use crate::{PERIOD, twin};
 use ferrocnc_tests::{Simulator, control};
 use host::address;
 use host::client::Client;
@@ -89,13 +89,13 @@ impl Hand {
 
     /// An exchange and the period after it; steps at the pins in that time.
     fn period(&mut self) -> i64 {
-        let before = steps(&self.twin);
+        let before = self.twin.steps();
         match self.bench.exchange(&self.tryout.order()) {
             Some(status) => self.tryout.answer(&status, self.now),
             None => self.tryout.silence(self.now),
         }
         self.now += PERIOD;
-        steps(&self.twin) - before
+        self.twin.steps() - before
     }
 
     /// Holds the key for so many repeats of 40 ms; steps of the last period.
@@ -110,9 +110,9 @@ impl Hand {
 
     /// The board alone: steps at the pins in so many milliseconds.
     fn alone(&self, ms: u32) -> i64 {
-        let before = steps(&self.twin);
-        control(self.twin.control(), &format!("run-ms {ms}"));
-        steps(&self.twin) - before
+        let before = self.twin.steps();
+        self.twin.run_ms(ms.into());
+        self.twin.steps() - before
     }
 }
 
@@ -134,7 +134,7 @@ fn an_axis_brakes_softly_from_a_fifth_of_a_second_after_the_last_repeat() {
     assert!((45..=54).contains(&last.expect("it moved")), "{way:?}");
     let sum: i64 = way.iter().sum();
     assert!((BRAKES..=BRAKES + 2 * PER_PERIOD).contains(&sum), "{sum}");
-    assert!(gate(&hand.twin));
+    assert!(hand.twin.is_open());
     assert_eq!(hand.alone(100), 0);
 }
 
@@ -153,10 +153,10 @@ fn a_jog_ends_on_its_step_at_the_pins_too() {
     // From 10 000 steps to 100, over 10.
     hand.key(Key::Distance);
     hand.key(Key::Distance);
-    let from = steps(&hand.twin);
+    let from = hand.twin.steps();
     hand.hold(40);
     assert_eq!(hand.tryout.said(), "there");
-    assert_eq!(steps(&hand.twin) - from, 100);
+    assert_eq!(hand.twin.steps() - from, 100);
 }
 
 #[test]
@@ -169,9 +169,9 @@ fn a_killed_tool_leaves_an_axis_that_the_board_brakes_softly_and_then_lets_go() 
     // Nothing is exchanged any more, as after a kill. The watchdog waits for 200 ms.
     let mut way: Vec<i64> = (0..38).map(|_| hand.alone(5)).collect();
     assert!(way.iter().all(|steps| *steps == PER_PERIOD), "{way:?}");
-    assert!(gate(&hand.twin));
+    assert!(hand.twin.is_open());
     way.clear();
-    while gate(&hand.twin) {
+    while hand.twin.is_open() {
         way.push(hand.alone(5));
     }
     assert!(is_soft(&way), "{way:?}");
@@ -190,16 +190,16 @@ fn a_killed_tool_leaves_an_axis_that_the_board_brakes_softly_and_then_lets_go() 
 fn a_pulled_cable_stops_the_axis_and_plugged_in_it_rests_until_it_is_armed_again() {
     let mut hand = Hand::armed();
     hand.hold(15);
-    let from = steps(&hand.twin);
+    let from = hand.twin.steps();
     control(hand.twin.control(), "fault pull");
     for _ in 0..host::tryout::LOST {
         hand.period();
     }
     assert_eq!(hand.tryout.arming(), Arming::Off, "{}", hand.tryout.said());
     hand.alone(1_000);
-    let way = steps(&hand.twin) - from;
+    let way = hand.twin.steps() - from;
     assert!((BRAKES..=BRAKES + 50 * PER_PERIOD).contains(&way), "{way}");
-    assert!(!gate(&hand.twin));
+    assert!(!hand.twin.is_open());
     control(hand.twin.control(), "fault plug");
     // Longer than the board keeps a session that is silent.
     hand.alone(4_000);
@@ -211,7 +211,7 @@ fn a_pulled_cable_stops_the_axis_and_plugged_in_it_rests_until_it_is_armed_again
     }
     hand.hold(20);
     assert_eq!(hand.hold(5), 0);
-    assert!(!gate(&hand.twin));
+    assert!(!hand.twin.is_open());
     hand.arm();
     assert_eq!(hand.period(), 0, "the jog of before is over");
     assert_eq!(hand.hold(20), PER_PERIOD);
@@ -225,5 +225,5 @@ fn disarming_in_motion_brakes_too() {
     let way: Vec<i64> = (0..80).map(|_| hand.period()).collect();
     assert!(is_soft(&way), "{way:?}");
     assert_eq!(way.last(), Some(&0));
-    assert!(!gate(&hand.twin));
+    assert!(!hand.twin.is_open());
 }

@@ -323,40 +323,21 @@ fn a_drawing_that_was_dropped_is_drawn_sent_and_executed_to_its_last_edge() {
     assert_eq!(difference.wrong, 0);
 }
 
-/// A number that the board's control tells of it.
-fn told(board: &Simulator, command: &str, name: &str) -> String {
-    let said = control(board.control(), command);
-    let begins = format!("{name}=");
-    let word = said
-        .split_whitespace()
-        .find_map(|it| it.strip_prefix(&*begins));
-    word.unwrap_or_else(|| panic!("no {name} in {said}"))
-        .to_owned()
-}
-
-/// Pulses at the pins of the first motor.
-fn steps(board: &Simulator) -> i64 {
-    let counts = told(board, "counts", "counts");
-    let first = counts.split(',').next();
-    first.and_then(|n| n.parse().ok()).expect("a count")
-}
-
 #[test]
 fn on_the_bench_an_axis_moves_while_its_button_is_held_and_only_one_page_has_the_board() {
     // Its time passes with the exchanges, so a busy computer is not too late for it.
     let board = Simulator::twin(&["--mode", "lockstep", "--period-ns", "5000000"]);
-    let is_open = || told(&board, "pins", "gate") == "1";
     let (server, browser) = (Server::start(), Browser::start("bench"));
     let bench = server.page(&format!("bench/{}", board.udp()));
     browser.open(&bench);
     browser.says("nothing is driven before");
-    assert!(!is_open());
+    assert!(!board.is_open());
     browser.click(&browser.button("Arm"));
     browser.says("ARMED");
-    assert!(is_open());
+    assert!(board.is_open());
     in_order(&browser);
 
-    let outputs = || told(&board, "pins", "gpio_out");
+    let outputs = || board.told("pins", "gpio_out");
     let off = outputs();
     let flood = browser.button("flood on for 3 s");
     browser.click(&flood);
@@ -385,14 +366,14 @@ fn on_the_bench_an_axis_moves_while_its_button_is_held_and_only_one_page_has_the
         browser.js(&script, &[]);
     };
     key("keydown");
-    browser.until("it moves", || steps(&board) > 5);
+    browser.until("it moves", || board.steps() > 5);
     browser.picture("bench");
     key("keyup");
     browser.says("released");
     browser.until("it stands", || {
-        let at = steps(&board);
-        control(board.control(), "run-ms 20");
-        at == steps(&board)
+        let at = board.steps();
+        board.run_ms(20);
+        at == board.steps()
     });
 
     // Another page does not get the board, and can neither move nor release it.
@@ -409,7 +390,7 @@ fn on_the_bench_an_axis_moves_while_its_button_is_held_and_only_one_page_has_the
     // When the first has left it, the second has it.
     browser.open(&server.page("doctor"));
     second.says("nothing is driven before");
-    browser.until("the gate is closed", || !is_open());
+    browser.until("the gate is closed", || !board.is_open());
 }
 
 #[test]

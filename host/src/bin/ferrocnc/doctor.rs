@@ -117,7 +117,9 @@ pub(crate) fn report(questions: &Questions<'_>) -> Result<Report> {
     if let Some(mut client) = client {
         let asked = board::examine(&system, &mut client, &crate::keys());
         report.findings.extend(asked);
-        pins = client.identify().ok().and_then(|it| names::pins(&it));
+        if files.is_some() {
+            pins = client.identify().ok().and_then(|it| names::pins(&it));
+        }
         // Behind the count of frames, which these questions would be part of.
         let port = subject.port(&system).unwrap_or_default();
         report.findings.extend(line::boards(&system, &port));

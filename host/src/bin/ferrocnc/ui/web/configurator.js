@@ -2,11 +2,11 @@
 // computer: the file is what was dropped or made here, and leaves as a download. `ferrocnc config`
 // judges, draws and imports.
 
-import { html, useEffect, useRef, useState } from "./vendor/preact-htm.js";
+import { html, useRef, useState } from "./vendor/preact-htm.js";
 import { ask, tell, text } from "./answers.js";
 import { Card, spoken } from "./card.js";
 import { download, lineOf, show } from "./files.js";
-import { Field, Problem, STILL_MS, useAnswer } from "./parts.js";
+import { Field, Problem, useAnswer, useStill } from "./parts.js";
 
 const COUNTS = ["stepgens", "encoders", "pwms", "inputs", "outputs"];
 /** The card that the README names first. */
@@ -110,26 +110,15 @@ function Editor({ file, put }) {
   const [pin, setPin] = useState();
   const [error, setError] = useState();
   const area = useRef();
-  useEffect(() => {
-    let wanted = true;
-    const check = async () => {
-      try {
-        const verdict = await tell("config/check", { name, toml });
-        const drawing = verdict.ok && (await tell("config/pinout", { name, toml }));
-        if (!wanted) return;
-        setVerdict(verdict);
-        if (drawing) setDrawing(drawing);
-        setError(undefined);
-      } catch (error) {
-        if (wanted) setError(error.message);
-      }
-    };
-    const still = setTimeout(check, STILL_MS);
-    return () => {
-      wanted = false;
-      clearTimeout(still);
-    };
-  }, [name, toml]);
+  const check = async () => {
+    const verdict = await tell("config/check", { name, toml });
+    return [verdict, verdict.ok && (await tell("config/pinout", { name, toml }))];
+  };
+  useStill(check, `${name}\n${toml}`, ([verdict, drawing]) => {
+    setVerdict(verdict);
+    if (drawing) setDrawing(drawing);
+    setError(undefined);
+  }, setError);
   const choose = (pin) => {
     setPin(pin);
     const at = toml.indexOf(`"${pin.same_as ?? pin.pin}"`);

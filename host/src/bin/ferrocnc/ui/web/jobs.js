@@ -3,7 +3,7 @@
 
 import { html, useEffect, useState } from "./vendor/preact-htm.js";
 import { listen, tell } from "./answers.js";
-import { Facts, Field, number, Problem, STILL_MS, WhichBoard } from "./parts.js";
+import { Facts, Field, number, Problem, useStill, WhichBoard } from "./parts.js";
 
 /** Survives a look at another page. */
 let kept = { file: "", text: "", machine: undefined, width: "", height: "", margin: 0, tolerance: 0.02, feed: 1500 };
@@ -16,7 +16,7 @@ export function Jobs({ board }) {
     kept = { ...kept, ...change };
     setSheet(kept);
   };
-  const take = async (files) => {
+  const open = async (files) => {
     for (const file of files) {
       const text = await file.text();
       put(file.name.endsWith(".toml") ? { machine: text } : { file: file.name, text });
@@ -24,21 +24,14 @@ export function Jobs({ board }) {
   };
   const drop = (event) => {
     event.preventDefault();
-    take(event.dataTransfer.files);
+    open(event.dataTransfer.files);
   };
-  const asked = JSON.stringify(wanted(sheet));
-  useEffect(() => {
-    if (!sheet.file) return undefined;
-    let isWanted = true;
-    const still = setTimeout(() => tell("job/drawn", JSON.parse(asked)).then(
-      (value) => isWanted && (setDrawn(value), setError(undefined)),
-      (error) => isWanted && (setDrawn(undefined), setError(error.message)),
-    ), STILL_MS);
-    return () => {
-      isWanted = false;
-      clearTimeout(still);
-    };
-  }, [asked]);
+  const take = (value, error) => {
+    setDrawn(value);
+    setError(error);
+  };
+  useStill(sheet.file && (() => tell("job/drawn", wanted(sheet))), JSON.stringify(wanted(sheet)),
+    take, (error) => take(undefined, error));
   const field = (label, name, more) => html`<${Field} label=${label} type="number" step="any"
     value=${sheet[name]} onInput=${(event) => put({ [name]: event.target.value })} ...${more} />`;
   return html`<div onDragOver=${(event) => event.preventDefault()} onDrop=${drop}>
@@ -46,9 +39,9 @@ export function Jobs({ board }) {
       on this page.</p>
     <div class="row">
       <label class="field"><span>Drawing or G-code</span><input type="file" accept=".svg,.ngc,.gcode,.nc,.tap"
-        onChange=${(event) => take(event.target.files)} /></label>
+        onChange=${(event) => open(event.target.files)} /></label>
       <label class="field"><span>Machine</span><input type="file" accept=".toml"
-        onChange=${(event) => take(event.target.files)} /></label>
+        onChange=${(event) => open(event.target.files)} /></label>
       ${field("Page width, mm", "width", { placeholder: "its own" })}
       ${field("Page height, mm", "height", { placeholder: "its own" })}
       ${field("Margin, mm", "margin")}

@@ -1,11 +1,11 @@
 // Machine: `ferrocnc machine new`, `check`, and what `write` would write, beside each other. Nothing
 // is written on this computer: the file is what was opened or made here, and leaves as a download.
 
-import { html, useEffect, useRef, useState } from "./vendor/preact-htm.js";
+import { html, useRef, useState } from "./vendor/preact-htm.js";
 import { ask, tell } from "./answers.js";
 import { Card, spoken } from "./card.js";
 import { download, lineOf, show } from "./files.js";
-import { Problem, STILL_MS, useAnswer } from "./parts.js";
+import { Problem, useAnswer, useStill } from "./parts.js";
 
 /** Survives a look at another page. */
 let kept = { toml: "", saved: true };
@@ -72,25 +72,11 @@ function Editor({ toml, put, take }) {
   const [pin, setPin] = useState();
   const [error, setError] = useState();
   const area = useRef();
-  useEffect(() => {
-    let wanted = true;
-    const check = async () => {
-      try {
-        const judged = await tell("machine/check", { toml });
-        if (!wanted) return;
-        // What was made last stays, pale, until the text is right again.
-        setJudged((before) => ({ ...before, ...judged }));
-        setError(undefined);
-      } catch (error) {
-        if (wanted) setError(error.message);
-      }
-    };
-    const still = setTimeout(check, STILL_MS);
-    return () => {
-      wanted = false;
-      clearTimeout(still);
-    };
-  }, [toml]);
+  useStill(() => tell("machine/check", { toml }), toml, (judged) => {
+    // What was made last stays, pale, until the text is right again.
+    setJudged((before) => ({ ...before, ...judged }));
+    setError(undefined);
+  }, setError);
   const save = () => {
     download("machine.toml", toml, "application/toml");
     put({ saved: true });

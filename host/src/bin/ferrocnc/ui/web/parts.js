@@ -3,7 +3,7 @@
 import { html, useEffect, useState } from "./vendor/preact-htm.js";
 
 /** After the last key, before a text is checked. */
-export const STILL_MS = 200;
+const STILL_MS = 200;
 
 /** The error of what was asked last. */
 export function Problem({ error }) {
@@ -65,6 +65,26 @@ export function useAnswer(asking, key) {
     };
   }, [key]);
   return state;
+}
+
+/**
+ * Asks whenever `key` has changed and then stood still for a moment; nothing without `asking`. An
+ * answer that comes when there is a newer question is dropped.
+ */
+export function useStill(asking, key, take, fail) {
+  useEffect(() => {
+    if (!asking) return undefined;
+    let wanted = true;
+    const ask = () => asking().then(
+      (value) => wanted && take(value),
+      (error) => wanted && fail(error.message),
+    );
+    const still = setTimeout(ask, STILL_MS);
+    return () => {
+      wanted = false;
+      clearTimeout(still);
+    };
+  }, [key]);
 }
 
 /** A number with thin groups of three. */
