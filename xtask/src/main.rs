@@ -5,6 +5,7 @@ mod bench;
 mod bitstream;
 mod build;
 mod cargo_tests;
+mod cost;
 mod counts;
 mod deb;
 mod demo;

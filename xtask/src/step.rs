@@ -1,5 +1,6 @@
 //! Runs one step of work and prints its title, its time, and on failure the end of its log.
 
+use crate::cost;
 use anyhow::{Context, Result, bail};
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use std::cell::Cell;
@@ -7,8 +8,10 @@ use std::fs::{self, File};
 use std::io::{IsTerminal, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Stdio};
-use std::sync::LazyLock;
+use std::sync::mpsc::RecvTimeoutError;
+use std::sync::{LazyLock, mpsc};
 use std::time::{Duration, Instant};
+use wait4::Wait4;
 
 /// How much of a failed step's log is shown.
 const TAIL_LINES: usize = 30;
@@ -122,9 +125,13 @@ pub fn run_judged(
     let spinner = spinner(title, expect);
     let mut said = Instant::now();
     let mut growth = Vec::new();
-    let status = loop {
-        if let Some(status) = child.try_wait()? {
-            break status;
+    let (ended, end) = mpsc::channel();
+    std::thread::spawn(move || ended.send(child.wait4()));
+    let ended = loop {
+        match end.recv_timeout(Duration::from_millis(100)) {
+            Ok(ended) => break ended?,
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => bail!("the end of `{program}` was lost"),
         }
         let length = fs::metadata(&log).map_or(0, |log| log.len() as usize);
         if growth.last().is_none_or(|(_, last)| *last < length) {
@@ -139,12 +146,13 @@ pub fn run_judged(
             ));
             said = Instant::now();
         }
-        std::thread::sleep(Duration::from_millis(100));
     };
     spinner.finish_and_clear();
     SCREEN.remove(&spinner);
     let seconds = begun.elapsed().as_secs_f32();
-    if !fine(status) {
+    let used = (ended.rusage.utime + ended.rusage.stime).as_secs_f32();
+    cost::note(name, seconds, used);
+    if !fine(ended.status) {
         say(&format!("  x {title}  ({seconds:.1} s)"));
         say(&indent(&tail(&log)));
         bail!(
@@ -153,7 +161,9 @@ pub fn run_judged(
             panics(&fs::read(&log).unwrap_or_default())
         );
     }
-    say(&format!("  + {title}  ({seconds:.1} s)"));
+    say(&format!(
+        "  + {title}  ({seconds:.1} s, {used:.0} s of a core)"
+    ));
     growth.push((seconds, usize::MAX));
     let text = fs::read(&log).unwrap_or_default();
     Ok(Printed {

@@ -1,7 +1,7 @@
 //! The test pyramid, one line per level. Lower levels need Rust only.
 
 use crate::{
-    bitstream, build, cargo_tests, deb, faults, fuzz, lint, netlist as gates, passes, python,
+    bitstream, build, cargo_tests, cost, deb, faults, fuzz, lint, netlist as gates, passes, python,
     regen, setup, slowest, step, target,
 };
 use anyhow::{Context, Result, bail};
@@ -257,7 +257,7 @@ fn side_by_side(levels: &[Level], named: bool) -> Vec<Outcome> {
 }
 
 /// Writes target/reports/pyramid.json: the levels, all their minutes with what was built for them,
-/// and the slowest of the tests with a board.
+/// what each step cost, and the slowest of the tests with a board.
 fn report(outcomes: &[Outcome], minutes: f32) -> Result<()> {
     let levels: Vec<_> = outcomes
         .iter()
@@ -276,7 +276,18 @@ fn report(outcomes: &[Outcome], minutes: f32) -> Result<()> {
         .map(|(test, seconds)| json!({ "test": test, "seconds": seconds.round() }))
         .collect();
     let whole = outcomes.len() == ALL.len();
+    let steps: Vec<_> = cost::dearest()
+        .into_iter()
+        .map(|cost| {
+            json!({
+                "step": cost.step,
+                "seconds": cost.seconds.round(),
+                "core_seconds": cost.core_seconds.round(),
+            })
+        })
+        .collect();
     let report = json!({
+        "steps": steps,
         "levels": levels, "whole": u32::from(whole), "minutes": minutes.round(), "slowest": slowest,
     });
     std::fs::write(&path, format!("{report:#}\n"))
