@@ -102,11 +102,11 @@ class Board:
 def _reader():
     """The command that reads board files: the one we are told of, one built now, or, without cargo,
     the one that was built."""
-    told, built = os.environ.get("FERROCNC_CONFIG"), ROOT / "target" / "release" / "ferrocnc-config"
+    told, built = os.environ.get("FERROCNC_CONFIG"), ROOT / "target" / "debug" / "ferrocnc-config"
     if told:
         return [told]
     if shutil.which("cargo"):
-        return ["cargo", "run", "-q", "--release", "-p", "ferrocnc-config", "--"]
+        return ["cargo", "run", "-q", "-p", "ferrocnc-config", "--"]
     return [str(built)]
 
 

@@ -89,11 +89,11 @@ model() {
         for pair in ${width//,/ }; do set+=" -set ${pair%%=*} ${pair#*=}"; done
         set="chparam$set $top;"
     fi
-    (cd "$1" && nice "$yosys" -q -p "read_verilog -formal -sv -DPROVE_$name $broken $files; $set prep -top $top; async2sync; dffunmap; write_smt2 -wires model.smt2") >"$1/yosys.log" 2>&1
+    (cd "$1" && "$yosys" -q -p "read_verilog -formal -sv -DPROVE_$name $broken $files; $set prep -top $top; async2sync; dffunmap; write_smt2 -wires model.smt2") >"$1/yosys.log" 2>&1
 }
 
 solve() {  # folder log arguments
-    (cd "$1" && ulimit -t "$limit" && nice "$smtbmc" -s "$solver" "${@:3}" model.smt2) >"$1/$2.log" 2>&1
+    (cd "$1" && ulimit -t "$limit" && "$smtbmc" -s "$solver" "${@:3}" model.smt2) >"$1/$2.log" 2>&1
 }
 
 prove() {  # core line

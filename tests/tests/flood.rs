@@ -91,6 +91,7 @@ fn under_a_flood_of_any_kind_every_exchange_is_answered_within_the_bound() {
 }
 
 #[test]
+#[ignore = "named: cargo xtask test soc"]
 fn a_board_that_executes_jobs_keeps_the_bound_under_floods_and_behind_every_frame() {
     let (mut machine, mut command) = moving_with_jobs();
     let lines = ["", "help", "status", "job status", "settings"];

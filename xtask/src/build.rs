@@ -77,14 +77,14 @@ pub fn soc(board: &str) -> PathBuf {
 /// The program that reads board files for LiteX.
 fn board_reader() -> Result<PathBuf> {
     let mut build = Command::new("cargo");
-    build.args(["build", "--release", "--package", "ferrocnc-config"]);
+    build.args(["build", "--package", "ferrocnc-config"]);
     step::run(
         "board-reader",
         "build the reader of board files (Rust)",
         "30 s",
         &mut build,
     )?;
-    Ok(target("release/ferrocnc-config"))
+    Ok(target("debug/ferrocnc-config"))
 }
 
 /// Elaborates a board for simulation and verilates it.
@@ -208,15 +208,13 @@ pub fn bench_exchange() -> Result<PathBuf> {
 
 /// What cargo is told of them, the same in every call: for other packages at once it would find
 /// other features of what they share, and build the twin and the firmware's library again.
-pub const BOARD_TESTS: [&str; 8] = [
+pub const BOARD_TESTS: [&str; 6] = [
     "--profile",
     "tests",
     "--package",
     "ferrocnc-tests",
     "--package",
     "ferrocnc-sim",
-    "--features",
-    "ferrocnc-tests/board,ferrocnc-sim/board",
 ];
 
 /// The router of every board (decision 11). Returns where it is.

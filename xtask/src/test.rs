@@ -44,7 +44,8 @@ enum Level {
     /// The same on the whole Verilated board with the release image. The tests that the models
     /// have, too, only if it is named.
     Plotter,
-    /// The Verilated board with the release image: boot, exchange, malformed frames, faults.
+    /// The Verilated board with the release image: boot, exchange, malformed frames, faults. Some
+    /// boards that differ little from others only if it is named.
     Soc,
     /// The fault table: every row with the real driver against the twin, the gateware's rows on the
     /// RTL with the CPU stopped.
@@ -207,26 +208,49 @@ struct Outcome {
 /// machine.
 const OTHER_QUEUES: usize = 2;
 
+/// Levels that take a core for so long that one of them alone at the end would leave the other core
+/// without work: they begin first, the longest before the others.
+const LONG: &[Level] = &[
+    Level::Plotter,
+    Level::Soc,
+    Level::Core,
+    Level::Formal,
+    Level::Bitstream,
+    Level::Unit,
+    Level::Provision,
+    Level::Lockstep,
+];
+
 /// Runs the levels in some queues, because most levels wait for something for a part of their time.
 /// The first queue begins with the levels whose programs keep a pace, and then helps the others.
 /// Those run at low priority: LinuxCNC and a streamed job keep their pace beside them. One level
 /// alone, or one core, makes one queue.
 fn side_by_side(levels: &[Level], named: bool) -> Vec<Outcome> {
-    let (paced, others): (VecDeque<Level>, VecDeque<Level>) =
+    let (paced, mut others): (VecDeque<Level>, VecDeque<Level>) =
         levels.iter().partition(|level| level.keeps_a_pace());
+    if !named {
+        let place = |level: &Level| LONG.iter().position(|long| long == level);
+        let others = others.make_contiguous();
+        others.sort_by_key(|level| place(level).unwrap_or(LONG.len()));
+    }
     let waiting = Mutex::new((paced, others));
     let done = Mutex::new(Vec::new());
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let apart = levels.len() > 1 && cores > 1;
     let queue = |first: bool| {
         loop {
             let level = {
                 let mut waiting = waiting.lock().unwrap_or_else(PoisonError::into_inner);
                 let (paced, others) = &mut *waiting;
                 match first {
-                    true => paced.pop_front().or_else(|| others.pop_back()),
+                    true => paced.pop_front().or_else(|| others.pop_front()),
                     false => others.pop_front(),
                 }
             };
             let Some(level) = level else { break };
+            if !level.keeps_a_pace() && apart {
+                step::stand_back();
+            }
             step::heading(&format!("test: {}", level.title()));
             let begun = Instant::now();
             let result = level.run(named);
@@ -239,14 +263,10 @@ fn side_by_side(levels: &[Level], named: bool) -> Vec<Outcome> {
             });
         }
     };
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
     std::thread::scope(|scope| {
-        if levels.len() > 1 && cores > 1 {
+        if apart {
             for _ in 0..OTHER_QUEUES {
-                scope.spawn(|| {
-                    step::stand_back();
-                    queue(false);
-                });
+                scope.spawn(|| queue(false));
             }
         }
         queue(true);
@@ -366,7 +386,7 @@ impl Level {
             Level::Lint => lint::check(named),
             Level::Unit => {
                 let mut cargo = cargo_tests::command();
-                cargo.args(["--workspace", "--no-fail-fast"]);
+                cargo.args(["--profile", "tests", "--workspace", "--no-fail-fast"]);
                 cargo_tests::run("test-unit", "cargo test", "3 min", &mut cargo)
             }
             Level::Generated => {
@@ -395,15 +415,7 @@ impl Level {
             // The drawing and the dense arc have a board of their own, the other tests share one.
             Level::Plotter if named => all_tests_of("jobs_rtl", "13 min", "2"),
             Level::Plotter => board_tests("jobs_rtl", "6 min", "2"),
-            Level::Soc => Ok(board_tests("image", "1 min", "2")?
-                + board_tests("jobs_program", "4 min", "2")?
-                + board_tests("services", "3 min", "2")?
-                + board_tests("path_stop", "1 min", "2")?
-                + board_tests("soc", "3 min", "2")?
-                + board_tests("flood", "5 min", "2")?
-                + board_tests("frames", "5 min", "2")?
-                + board_tests("flash", "2 min", "2")?
-                + board_tests("key", "3 min", "2")?),
+            Level::Soc => soc(named),
             Level::Faults => faults::run(),
             Level::Peers => board_tests("peers", "3 min", "2"),
             Level::Provision => Ok(board_tests("provision", "1 min", "2")?
@@ -514,6 +526,28 @@ fn tests_of(name: &str, expect: &str, threads: &str, arguments: &[&str]) -> Resu
         expect,
         &mut cargo,
     )
+}
+
+/// What needs the whole Verilated board. If the level was not `named`, without those tests that
+/// differ from others in the image or the SDRAM of the board only: to start each takes half a
+/// minute of a core.
+fn soc(named: bool) -> Result<usize> {
+    let programs = [
+        ("image", "1 min"),
+        ("jobs_program", "3 min"),
+        ("services", "3 min"),
+        ("path_stop", "1 min"),
+        ("soc", "3 min"),
+        ("flood", "4 min"),
+        ("frames", "5 min"),
+        ("flash", "2 min"),
+        ("key", "3 min"),
+    ];
+    let run = if named { all_tests_of } else { board_tests };
+    programs
+        .iter()
+        .map(|(name, expect)| run(name, expect, "2"))
+        .sum()
 }
 
 /// The cores of a job, which no board of ours has yet.

@@ -2,7 +2,7 @@
 //! output pin, every register as the bus reads it, and what is said to the MAC. Firmware's writes
 //! and an owner's frames let the fast path execute commands.
 //!
-//! Run as `cargo test --release -p ferrocnc-tests --features board --test lockstep` after
+//! Run as `cargo test --profile tests -p ferrocnc-tests --test lockstep` after
 //! `sim/verilator/cores.sh mill6`.
 //!
 //! | variable | meaning | default |
