@@ -10,6 +10,7 @@ mod images;
 mod install;
 mod manual;
 mod samples;
+mod twin;
 
 pub use images::sums;
 
@@ -158,7 +159,7 @@ fn files(to: &Path) -> Result<()> {
         fs::remove_dir_all(to)?;
     }
     let tool = target(TOOLS).join("release/ferrocnc");
-    for folder in ["man1", "man9", "completions"] {
+    for folder in ["man1", "man9", "sim", "twin", "completions"] {
         fs::create_dir_all(to.join(folder))?;
     }
     let mut pages = Command::new(&tool);
@@ -175,6 +176,11 @@ fn files(to: &Path) -> Result<()> {
         fs::write(to.join(format!("completions/ferrocnc.{shell}")), said)?;
     }
     fs::write(to.join("man9/ferrocnc.9"), manual::page()?)?;
+    fs::write(to.join("twin/ferrocnc-twin.1"), twin::page()?)?;
+    let simulator = target(TOOLS).join("release/ferrocnc-sim");
+    let said = setup::output(Command::new(simulator).arg("--manual"));
+    let said = said.context("ferrocnc-sim --manual failed")?;
+    fs::write(to.join("sim/ferrocnc-sim.1"), said)?;
     fs::write(to.join("copyright"), copyright()?)?;
     samples::write(&tool, &to.join("samples"))?;
     let gathered = images::gather(&target("bitstream"), &to.join("images"))?;

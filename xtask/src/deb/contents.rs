@@ -53,6 +53,7 @@ const WANTED: [Wanted; 4] = [
             (PLAIN, "./usr/lib/linuxcnc/modules/ferrocnc.so"),
             (PLAIN, "./usr/share/man/man9/ferrocnc.9.gz"),
             (PROGRAM, "./usr/bin/ferrocnc-twin"),
+            (PLAIN, "./usr/share/man/man1/ferrocnc-twin.1.gz"),
             (PLAIN, "./usr/share/doc/ferrocnc-linuxcnc/copyright"),
         ],
     },
@@ -61,6 +62,7 @@ const WANTED: [Wanted; 4] = [
         depends: "libc6 (>= ",
         files: &[
             (PROGRAM, "./usr/bin/ferrocnc-sim"),
+            (PLAIN, "./usr/share/man/man1/ferrocnc-sim.1.gz"),
             (
                 PLAIN,
                 "./usr/share/doc/ferrocnc-sim/examples/plant.example.toml",
