@@ -117,7 +117,7 @@ fn one(package: &Path) -> Result<()> {
 }
 
 /// What `dpkg-deb` prints of a package.
-fn dpkg(what: &[&str], package: &Path, more: &[&str]) -> Result<String> {
+pub fn dpkg(what: &[&str], package: &Path, more: &[&str]) -> Result<String> {
     let mut dpkg = Command::new("dpkg-deb");
     dpkg.args(what).arg(package).args(more);
     setup::output(&mut dpkg).with_context(|| format!("dpkg-deb {what:?} failed"))
