@@ -17,6 +17,7 @@
 //! | [`network`] | addresses, routes, neighbours on it |
 //! | [`others`] | managers, firewalls and programs that use the port, too |
 //! | [`line`] | frames, switches and boards on the line that are not meant to be there |
+//! | [`ping`] | the round trip of pings at real-time priority |
 //! | [`board`] | what the board says: release, image, settings, refusals, key, way of exchanges |
 //! | [`names`] | the names of its pins in HAL |
 //! | [`running`] | what a LinuxCNC that runs says of itself |
@@ -41,6 +42,7 @@ pub mod machine;
 pub mod names;
 pub mod network;
 pub mod others;
+pub mod ping;
 pub mod platform;
 pub mod port;
 pub mod realtime;
@@ -62,6 +64,8 @@ pub struct Subject {
     pub interface: Option<String>,
     /// Count for so long what this computer sends there.
     pub listen: Option<Duration>,
+    /// Ping the board for so long, once on any processor and once on LinuxCNC's.
+    pub ping: Option<Duration>,
 }
 
 impl Subject {
@@ -87,6 +91,8 @@ pub fn examine(system: &System<'_>, subject: &Subject) -> Report {
             findings.extend(others::examine(system, &interface, subject.board));
             let (board, listen) = (subject.board, subject.listen);
             findings.extend(line::examine(system, &interface, board, listen));
+            // Behind the count of frames, which pings would be part of.
+            findings.extend(ping::examine(system, &interface, board, subject.ping));
         }
         None => findings.push(no_interface(subject)),
     }

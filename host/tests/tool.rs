@@ -105,7 +105,7 @@ fn the_doctor_looks_at_this_computer_and_at_the_board_and_takes_no_session() {
 }
 
 #[test]
-fn a_doctor_without_a_configuration_or_a_time_to_listen_says_what_to_name() {
+fn a_doctor_without_a_configuration_or_a_time_says_what_to_name() {
     let said = complaint(&["doctor", "--ini", "/nowhere.ini"]);
     assert!(
         said.contains("cannot read /nowhere.ini; name the"),
@@ -114,6 +114,8 @@ fn a_doctor_without_a_configuration_or_a_time_to_listen_says_what_to_name() {
     for seconds in ["0", "4000", "nan"] {
         let said = complaint(&["doctor", "--listen", seconds]);
         assert!(said.contains("--listen 10"), "{said}");
+        let said = complaint(&["doctor", "127.0.0.1", "--ping", seconds]);
+        assert!(said.contains("--ping 30"), "{said}");
     }
 }
 

@@ -8,7 +8,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use clap::{Parser, ValueEnum};
+use clap::{CommandFactory, Parser, ValueEnum};
 use sim::board::TraceWindow;
 use sim::board_facts::BoardFacts;
 use sim::faults::{Plan, Rejected};
@@ -212,6 +212,9 @@ struct Arguments {
     /// Longest wait for the board's first answer, sys clocks.
     #[arg(long, value_name = "CLOCKS", default_value_t = 3_000_000)]
     boot_clocks: u64,
+    /// Write the manual page to stdout, for the package, and end.
+    #[arg(long, exclusive = true, hide = true)]
+    manual: bool,
 }
 
 fn parse_channels(text: &str) -> Result<Channels, String> {
@@ -401,6 +404,10 @@ impl Arguments {
 
 fn main() -> anyhow::Result<()> {
     let arguments = Arguments::parse();
+    if arguments.manual {
+        let page = clap_mangen::Man::new(Arguments::command());
+        return Ok(page.render(&mut std::io::stdout())?);
+    }
     let steps = match arguments.backend {
         Backend::Rtl => arguments.serve(arguments.gateware()?)?.finish()?,
         Backend::Model => arguments.serve(arguments.twin()?)?.finish()?,

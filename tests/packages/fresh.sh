@@ -41,7 +41,7 @@ programs() {
     ferrocnc config check /usr/share/ferrocnc/boards/mill6.toml
     pass "the programs start, and read a board file of the package"
     local page
-    for page in ferrocnc ferrocnc-job-send "9 ferrocnc"; do
+    for page in ferrocnc ferrocnc-job-send ferrocnc-sim ferrocnc-twin "9 ferrocnc"; do
         man -w $page
         # groff's warnings.
         [[ -z $(man --warnings $page 2>&1 > /dev/null) ]]

@@ -279,6 +279,18 @@ fn a_new_card_is_flashed_found_tested_and_watched() {
         .lines()
         .find(|line| line.contains(" frames sent there"));
     assert!(counted.is_some_and(|it| it.contains(" in 1 s")), "{said}");
+    let ping = line("tuning.md", "sudo ferrocnc doctor 192.168.2.50 --ping");
+    let (_, said) = reader.tries(&format!("{ping} 1"));
+    let may = Command::new("chrt").args(["-f", "99", "true"]).status();
+    for check in [" round trip of a ping ", " the same on CPU "] {
+        let found = said.lines().find(|line| line.contains(check));
+        let found = found.unwrap_or_else(|| panic!("{said}"));
+        let wanted = match may.as_ref().is_ok_and(|may| may.success()) {
+            true => " of 1000 pings",
+            false => "not measured",
+        };
+        assert!(found.contains(wanted), "{found}");
+    }
     // The page's reader is in the configuration's folder.
     let files = line("tuning.md", "ferrocnc doctor 192.168.2.50 --ini");
     let files = files.replace("mill.ini", "host/examples/mill/mill.ini");

@@ -5,19 +5,32 @@
 //! The same commit gives the same bytes: times are the commit's, and no path of this computer is
 //! compiled in.
 
+mod arch;
 mod contents;
 mod images;
 mod install;
 mod manual;
 mod samples;
+mod twin;
 
 pub use images::sums;
 
 use crate::{root, setup, step, target};
 use anyhow::{Context, Result, bail};
+use arch::Arch;
+use clap::Args;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+
+/// For which processor.
+#[derive(Args)]
+pub struct Options {
+    /// The processor, by Debian's name. Packages for arm64 are cross-built, and tried in an
+    /// emulator.
+    #[arg(long, value_enum, default_value_t = Arch::Amd64)]
+    arch: Arch,
+}
 
 /// A package: the crate whose table cargo-deb reads, the variant in it, and where cargo built what
 /// goes in.
@@ -64,12 +77,24 @@ const PACKAGES: [Package; 4] = [
     },
 ];
 
-/// Builds the packages, says where they are.
-pub fn run() -> Result<()> {
+/// Builds the packages, says where they are. Those for another processor are checked, too, because
+/// no level does it.
+pub fn run(options: &Options) -> Result<()> {
     setup::run(setup::Need::Packages)?;
     step::heading("packages");
-    build()?;
-    for package in pack("deb/packages")? {
+    let arch = options.arch;
+    arch.ready()?;
+    build(arch)?;
+    let packages = match arch {
+        Arch::Amd64 => pack(arch, "deb/packages")?,
+        Arch::Arm64 => {
+            let packages = pack(arch, "deb/packages-arm64")?;
+            contents::check(&packages)?;
+            arch::check(&packages)?;
+            packages
+        }
+    };
+    for package in packages {
         step::note(&format!("{}", package.display()));
     }
     Ok(())
@@ -77,9 +102,10 @@ pub fn run() -> Result<()> {
 
 /// Builds, packs, and checks the packages, on a machine that is set up; the packages.
 pub fn check() -> Result<Vec<PathBuf>> {
-    build()?;
-    let packages = pack("deb/packages")?;
-    let again = pack("deb/again")?;
+    let arch = Arch::Amd64;
+    build(arch)?;
+    let packages = pack(arch, "deb/packages")?;
+    let again = pack(arch, "deb/again")?;
     for (package, again) in packages.iter().zip(&again) {
         if fs::read(package)? != fs::read(again)? {
             let (package, again) = (package.display(), again.display());
@@ -97,26 +123,25 @@ pub fn check_installed() -> Result<usize> {
 }
 
 /// The programs, and the files beside them.
-fn build() -> Result<()> {
-    cargo(
-        MODULE,
-        "the driver",
-        &["ferrocnc", "--lib", "--no-default-features"],
-    )?;
+fn build(arch: Arch) -> Result<()> {
+    let module = ["ferrocnc", "--lib", "--no-default-features"];
+    cargo(arch, MODULE, "the driver", &module)?;
     let simulator = ["ferrocnc-sim", "--bin", "ferrocnc-sim"];
-    cargo(TOOLS, "the simulator", &simulator)?;
-    cargo(TOOLS, "the tool", &["ferrocnc", "--bin", "ferrocnc"])?;
-    files(&target("deb/files"))
+    cargo(arch, TOOLS, "the simulator", &simulator)?;
+    cargo(arch, TOOLS, "the tool", &["ferrocnc", "--bin", "ferrocnc"])?;
+    files(arch, &target("deb/files"))
 }
 
 /// Builds a package for others' computers: without symbols, and without paths of this one.
-fn cargo(folder: &str, what: &str, package: &[&str]) -> Result<()> {
+fn cargo(arch: Arch, folder: &str, what: &str, package: &[&str]) -> Result<()> {
     let mut build = Command::new("cargo");
     build.args(["build", "--release", "--locked", "--package"]);
     build.args(package).arg("--target-dir").arg(target(folder));
+    build.args(arch.target());
+    arch.environment(&mut build);
     release(&mut build)?;
-    let name = format!("deb-{}", folder.trim_start_matches("deb/"));
-    let title = format!("build {what} for its package (Rust)");
+    let name = format!("{}-{}", folder.replace('/', "-"), arch.name());
+    let title = format!("build {what} for its package, {} (Rust)", arch.name());
     step::run(&name, &title, "3 min", &mut build)
 }
 
@@ -153,15 +178,16 @@ fn cargo_home() -> PathBuf {
 
 /// Writes manual pages, completions, the copyright file, the sample machines and the images'
 /// folder.
-fn files(to: &Path) -> Result<()> {
+fn files(arch: Arch, to: &Path) -> Result<()> {
     if to.exists() {
         fs::remove_dir_all(to)?;
     }
-    let tool = target(TOOLS).join("release/ferrocnc");
-    for folder in ["man1", "man9", "completions"] {
+    let path = arch.built(TOOLS).join("ferrocnc");
+    let tool = || arch.program(&path);
+    for folder in ["man1", "man9", "sim", "twin", "completions"] {
         fs::create_dir_all(to.join(folder))?;
     }
-    let mut pages = Command::new(&tool);
+    let mut pages = tool();
     pages.arg("man").arg(to.join("man1"));
     step::run(
         "deb-man",
@@ -170,13 +196,18 @@ fn files(to: &Path) -> Result<()> {
         &mut pages,
     )?;
     for shell in ["bash", "zsh", "fish"] {
-        let said = setup::output(Command::new(&tool).args(["completions", shell]));
+        let said = setup::output(tool().args(["completions", shell]));
         let said = said.with_context(|| format!("ferrocnc completions {shell} failed"))?;
         fs::write(to.join(format!("completions/ferrocnc.{shell}")), said)?;
     }
     fs::write(to.join("man9/ferrocnc.9"), manual::page()?)?;
+    fs::write(to.join("twin/ferrocnc-twin.1"), twin::page()?)?;
+    let simulator = arch.built(TOOLS).join("ferrocnc-sim");
+    let said = setup::output(arch.program(&simulator).arg("--manual"));
+    let said = said.context("ferrocnc-sim --manual failed")?;
+    fs::write(to.join("sim/ferrocnc-sim.1"), said)?;
     fs::write(to.join("copyright"), copyright()?)?;
-    samples::write(&tool, &to.join("samples"))?;
+    samples::write(tool, &to.join("samples"))?;
     let gathered = images::gather(&target("bitstream"), &to.join("images"))?;
     step::note(&gathered.sentence());
     Ok(())
@@ -208,7 +239,7 @@ fn copyright() -> Result<String> {
 }
 
 /// Packs what is built, into this folder below `target`; the packages.
-fn pack(folder: &str) -> Result<Vec<PathBuf>> {
+fn pack(arch: Arch, folder: &str) -> Result<Vec<PathBuf>> {
     let tool = setup::cargo_deb()?;
     let to = target(folder);
     if to.exists() {
@@ -226,6 +257,7 @@ fn pack(folder: &str) -> Result<Vec<PathBuf>> {
         if let Some(variant) = package.variant {
             pack.args(["--variant", variant]);
         }
+        pack.args(arch.target());
         // A folder, because of the slash.
         pack.arg("--output").arg(to.join(""));
         release(&mut pack)?;

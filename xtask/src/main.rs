@@ -59,7 +59,7 @@ enum Task {
     /// clock.
     Netlist(netlist::Options),
     /// Make the Debian packages: tool, LinuxCNC driver, simulator, and the images that are built.
-    Deb,
+    Deb(deb::Options),
     /// Make a release: packages, images, bills of materials, notes and sums in one folder.
     Release(release::Options),
     /// Measure something and print the figures.
@@ -93,7 +93,7 @@ fn main() -> std::process::ExitCode {
         Task::Regen { check } => regen::run(check),
         Task::Bitstream(options) => bitstream::run(&options),
         Task::Netlist(options) => netlist::run(&options),
-        Task::Deb => deb::run(),
+        Task::Deb(options) => deb::run(&options),
         Task::Release(options) => release::run(&options),
         Task::Bench(options) => bench::run(&options),
         Task::Docs => docs::run(),

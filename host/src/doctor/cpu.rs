@@ -31,6 +31,19 @@ pub fn isolated(system: &System<'_>) -> Option<u32> {
     numbers(&isolated).last().copied()
 }
 
+/// The same if none is isolated: the one that was chosen for it, or the highest there is.
+pub fn linuxcncs(system: &System<'_>) -> u32 {
+    let chosen = (system.variable)("RTAPI_CPU_NUMBER").and_then(|cpu| cpu.parse().ok());
+    let online = || {
+        let online = system.read(&format!("{CPUS}/online")).unwrap_or_default();
+        numbers(&online).last().copied()
+    };
+    chosen
+        .or_else(|| isolated(system))
+        .or_else(online)
+        .unwrap_or_default()
+}
+
 fn list(of: &BTreeSet<u32>) -> String {
     let all: Vec<_> = of.iter().map(u32::to_string).collect();
     all.join(",")

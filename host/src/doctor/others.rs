@@ -42,21 +42,56 @@ fn stanza(system: &System<'_>, interface: &str) -> Option<String> {
     })
 }
 
+/// What systemd-networkd keeps of the port.
+fn of_networkd(system: &System<'_>, interface: &str, what: &str) -> Option<String> {
+    let index = system.read(&format!("sys/class/net/{interface}/ifindex"))?;
+    system.read(&format!("run/systemd/netif/{what}/{index}"))
+}
+
+/// systemd-networkd has set the port up, or is about to.
+pub fn by_networkd(system: &System<'_>, interface: &str) -> bool {
+    let state = of_networkd(system, interface, "links").unwrap_or_default();
+    state.lines().any(|line| {
+        matches!(
+            line.strip_prefix("ADMIN_STATE="),
+            Some("configured" | "configuring" | "pending" | "degraded")
+        )
+    })
+}
+
 fn manager(system: &System<'_>, interface: &str, board: Option<Ipv4Addr>) -> Finding {
     let check = "manager of the port";
-    match (connection(system, interface), stanza(system, interface)) {
-        (Some(connection), Some(_)) => Finding::bad(
+    let remedies = [
+        (
+            stanza(system, interface).map(|_| "/etc/network/interfaces".to_owned()),
+            format!("remove `iface {interface}` from /etc/network/interfaces"),
+        ),
+        (
+            by_networkd(system, interface).then(|| "systemd-networkd".to_owned()),
+            format!(
+                "remove the file of /etc/systemd/network that matches {interface} (networkctl status {interface} names it)"
+            ),
+        ),
+        (
+            connection(system, interface).map(|name| format!("NetworkManager, with {name}")),
+            format!("sudo nmcli device set {interface} managed no"),
+        ),
+    ];
+    let all = remedies.iter();
+    let all: Vec<_> = all
+        .filter_map(|(manager, remedy)| Some((manager.as_deref()?, remedy)))
+        .collect();
+    let fact: Vec<&str> = all.iter().map(|(manager, _)| *manager).collect();
+    match all[..] {
+        [] => Finding::good(check, "none"),
+        [_] => Finding::good(check, fact.concat()),
+        [(_, remedy), ..] => Finding::bad(
             check,
-            format!("{connection} of NetworkManager, and /etc/network/interfaces"),
+            fact.join(" and "),
             "two take turns in setting the address, and the board is lost in between",
-            &format!("remove `iface {interface}` from /etc/network/interfaces"),
+            remedy,
         )
         .lasting(network::setup(interface, board)),
-        (Some(connection), None) => {
-            Finding::good(check, format!("NetworkManager, with {connection}"))
-        }
-        (None, Some(_)) => Finding::good(check, "/etc/network/interfaces"),
-        (None, None) => Finding::good(check, "none"),
     }
 }
 
@@ -68,6 +103,8 @@ fn method(system: &System<'_>, interface: &str, board: Option<Ipv4Addr>) -> Find
             .map(|said| said.trim().to_owned()),
         None => stanza(system, interface),
     };
+    let leased = of_networkd(system, interface, "leases").map(|_| "dhcp".to_owned());
+    let method = method.or(leased);
     match method.as_deref() {
         Some(method @ ("auto" | "link-local" | "dhcp")) => Finding::bad(
             check,
@@ -92,6 +129,21 @@ fn firewall(system: &System<'_>, interface: &str, board: Option<Ipv4Addr>) -> Fi
         let zone = format!("sudo firewall-cmd --zone=trusted --change-interface={interface}");
         return Finding::note(check, "firewalld", reason, &zone)
             .lasting(format!("{zone} --permanent"));
+    }
+    // Only root is told of chains.
+    let chains = system.print("nft", &["list", "chains"]).unwrap_or_default();
+    let drops = |line: &str| line.contains(" hook input ") && line.contains("policy drop");
+    if chains.lines().any(drops) {
+        let remedy = format!(
+            "let UDP from {from} in at {interface} in the chain with `hook input`: sudo nft list ruleset shows it"
+        );
+        return Finding::note(
+            check,
+            "a chain of nftables drops what no rule takes",
+            reason,
+            &remedy,
+        )
+        .lasting("the same rule in /etc/nftables.conf, or in what writes that chain");
     }
     Finding::good(check, "neither ufw nor firewalld")
 }

@@ -75,6 +75,55 @@ impl Coalescing {
     }
 }
 
+/// The kernel's counters of what may be an error of the line.
+const ERRORS: [&str; 5] = [
+    "rx_errors",
+    "rx_crc_errors",
+    "rx_missed_errors",
+    "rx_dropped",
+    "tx_errors",
+];
+
+/// What a port has counted of each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Errors([u64; ERRORS.len()]);
+
+impl Errors {
+    /// Since the port started.
+    pub fn read(system: &System<'_>, interface: &str) -> Self {
+        Errors(ERRORS.map(|name| {
+            let count = system.read(&format!("sys/class/net/{interface}/statistics/{name}"));
+            count.and_then(|it| it.parse().ok()).unwrap_or_default()
+        }))
+    }
+
+    /// What has come since an earlier look: nothing is to, while the line is in use.
+    pub fn since(self, earlier: Self) -> Finding {
+        let check = "errors of the port";
+        let pairs = self.0.iter().zip(earlier.0);
+        let mut grown = pairs.map(|(now, before)| now.saturating_sub(before));
+        let news = Errors([(); ERRORS.len()].map(|()| grown.next().unwrap_or_default())).told();
+        match news.is_empty() {
+            true => Finding::good(check, "none in that time"),
+            false => Finding::bad(
+                check,
+                format!("{} in that time", news.join(", ")),
+                "frames are damaged or dropped on the way",
+                "another cable, away from motor leads; dropped ones: ethtool -g says how many the card can keep",
+            ),
+        }
+    }
+
+    /// Those that are not 0.
+    fn told(self) -> Vec<String> {
+        let all = ERRORS.iter().zip(self.0);
+        let counted = all.filter(|(_, count)| *count != 0);
+        counted
+            .map(|(name, count)| format!("{name} {count}"))
+            .collect()
+    }
+}
+
 struct Port<'p> {
     system: &'p System<'p>,
     interface: &'p str,
@@ -352,19 +401,7 @@ impl Port<'_> {
 
     fn errors(&self) -> Finding {
         let check = "errors";
-        let names = [
-            "rx_errors",
-            "rx_crc_errors",
-            "rx_missed_errors",
-            "rx_dropped",
-            "tx_errors",
-        ];
-        let counted: Vec<String> = names
-            .iter()
-            .filter_map(|name| Some((name, self.read(&format!("statistics/{name}"))?)))
-            .filter(|(_, count)| count != "0")
-            .map(|(name, count)| format!("{name} {count}"))
-            .collect();
+        let counted = Errors::read(self.system, self.interface).told();
         match counted.is_empty() {
             true => Finding::good(check, "none since the port started"),
             false => Finding::note(

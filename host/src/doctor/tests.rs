@@ -81,6 +81,10 @@ const FILES: &[(&str, &str)] = &[
     ("proc/sys/net/ipv6/conf/eth1/disable_ipv6", "1"),
 ];
 
+/// What `ping` prints on it.
+const PING: &str = "60000 packets transmitted, 60000 received, 0% packet loss, time 59999ms
+rtt min/avg/max/mdev = 0.046/0.047/0.058/0.003 ms\n";
+
 /// A computer made of files, with what its programs print.
 struct Made {
     root: PathBuf,
@@ -95,6 +99,9 @@ struct Made {
     method: &'static str,
     lldp: &'static str,
     arping: &'static str,
+    ping: &'static str,
+    ping_there: &'static str,
+    nft: &'static str,
     hal: String,
     sends: bool,
     ethtool: bool,
@@ -125,6 +132,9 @@ impl Made {
             method: "manual\n",
             lldp: "",
             arping: "",
+            ping: PING,
+            ping_there: PING,
+            nft: "",
             hal: String::new(),
             sends: false,
             ethtool: true,
@@ -205,6 +215,9 @@ impl Made {
                 ("lspci", _) => self.chip,
                 ("lldpcli", _) => self.lldp,
                 ("arping", _) => self.arping,
+                ("chrt", _) => self.ping,
+                ("taskset", Some(&"-c")) if arguments.contains(&"3") => self.ping_there,
+                ("nft", _) => self.nft,
                 ("halcmd", _) => self.hal.as_str(),
                 ("nmcli", _) if arguments.contains(&"GENERAL.CONNECTION") => self.connection,
                 ("nmcli", _) if arguments.contains(&"ipv4.method") => self.method,
@@ -262,6 +275,7 @@ fn board() -> Subject {
         board: Some(BOARD),
         interface: None,
         listen: Some(Duration::from_secs(10)),
+        ping: Some(Duration::from_secs(60)),
     }
 }
 
@@ -274,7 +288,7 @@ fn a_healthy_computer_has_nothing_to_be_told_of() {
             false => assert_eq!(finding.verdict, Good, "{finding:?}"),
         }
     }
-    assert!(report.findings.len() > 42, "{}", report.findings.len());
+    assert!(report.findings.len() > 44, "{}", report.findings.len());
     assert_eq!(report.to_json()["computer"]["processor"], "Made Up 3000");
 }
 
@@ -298,7 +312,7 @@ fn every_fault_is_named_by_its_check_with_a_remedy() {
             assert!(!finding.reason.is_empty(), "{finding:?}");
         }
     }
-    assert!(FAULTS.len() >= 65, "{}", FAULTS.len());
+    assert!(FAULTS.len() >= 72, "{}", FAULTS.len());
 }
 
 #[test]
@@ -336,7 +350,7 @@ fn the_interface_is_the_one_whose_net_is_the_narrowest_or_the_one_that_was_named
     let named = Subject {
         board: None,
         interface: Some("eth1".into()),
-        listen: None,
+        ..Subject::default()
     };
     assert_eq!(port(&named).as_deref(), Some("eth1, wired"));
     assert_eq!(port(&Subject::default()), None);
@@ -355,7 +369,7 @@ fn an_empty_computer_is_no_reason_to_panic() {
     let named = Subject {
         board: Some(BOARD),
         interface: Some("eth1".into()),
-        listen: None,
+        ..Subject::default()
     };
     for subject in [board(), named, Subject::default()] {
         let report = made.examine(&subject);
@@ -486,6 +500,21 @@ fn a_running_machine_is_judged_by_its_own_pins() {
     assert_eq!(with("3500000 ", "900000 ", watchdog).0, Note);
     assert_eq!(with("3500000 ", "4294967295 ", watchdog).0, Skipped);
     assert_eq!(judged("", "the running machine").0, Skipped);
+}
+
+#[test]
+fn errors_of_the_port_are_told_if_they_grow_while_the_line_is_measured() {
+    let made = Made::healthy();
+    let path = "sys/class/net/eth1/statistics/rx_crc_errors";
+    made.file(path, "7");
+    let count = || made.asked(|system| port::Errors::read(system, "eth1"));
+    let before = count();
+    assert_eq!(count().since(before).verdict, Good);
+    made.file(path, "9");
+    let finding = count().since(before);
+    assert_eq!(finding.verdict, Bad, "{finding:?}");
+    assert_eq!(finding.fact, "rx_crc_errors 2 in that time");
+    assert!(finding.remedy.contains("cable"), "{finding:?}");
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use super::paths::{INTERFACES, Paths, own};
 use super::record::Record;
 use crate::doctor::network::{Route, addresses, routes};
+use crate::doctor::others;
 use crate::doctor::port::Coalescing;
 use crate::doctor::system::System;
 use std::collections::BTreeMap;
@@ -216,15 +217,7 @@ fn claim(system: &System<'_>, interface: &str) -> Option<String> {
     if let Some(path) = paths.iter().find(|path| names_it(path)) {
         return Some(format!("/{path}"));
     }
-    let index = system.read(&format!("sys/class/net/{interface}/ifindex"))?;
-    let state = system.read(&format!("run/systemd/netif/links/{index}"))?;
-    let manages = state.lines().any(|line| {
-        matches!(
-            line.strip_prefix("ADMIN_STATE="),
-            Some("configured" | "configuring" | "pending" | "degraded")
-        )
-    });
-    manages.then(|| "systemd-networkd".to_owned())
+    others::by_networkd(system, interface).then(|| "systemd-networkd".to_owned())
 }
 
 /// The connection of NetworkManager that the port has, if it is not ours.

@@ -53,6 +53,7 @@ const WANTED: [Wanted; 4] = [
             (PLAIN, "./usr/lib/linuxcnc/modules/ferrocnc.so"),
             (PLAIN, "./usr/share/man/man9/ferrocnc.9.gz"),
             (PROGRAM, "./usr/bin/ferrocnc-twin"),
+            (PLAIN, "./usr/share/man/man1/ferrocnc-twin.1.gz"),
             (PLAIN, "./usr/share/doc/ferrocnc-linuxcnc/copyright"),
         ],
     },
@@ -61,6 +62,7 @@ const WANTED: [Wanted; 4] = [
         depends: "libc6 (>= ",
         files: &[
             (PROGRAM, "./usr/bin/ferrocnc-sim"),
+            (PLAIN, "./usr/share/man/man1/ferrocnc-sim.1.gz"),
             (
                 PLAIN,
                 "./usr/share/doc/ferrocnc-sim/examples/plant.example.toml",
@@ -115,7 +117,7 @@ fn one(package: &Path) -> Result<()> {
 }
 
 /// What `dpkg-deb` prints of a package.
-fn dpkg(what: &[&str], package: &Path, more: &[&str]) -> Result<String> {
+pub fn dpkg(what: &[&str], package: &Path, more: &[&str]) -> Result<String> {
     let mut dpkg = Command::new("dpkg-deb");
     dpkg.args(what).arg(package).args(more);
     setup::output(&mut dpkg).with_context(|| format!("dpkg-deb {what:?} failed"))

@@ -50,7 +50,7 @@ fn folder(name: &str) -> String {
 }
 
 /// Writes all of them with the tool.
-pub fn write(tool: &Path, to: &Path) -> Result<()> {
+pub fn write(tool: impl Fn() -> Command, to: &Path) -> Result<()> {
     for name in names()? {
         let at = to.join(folder(&name));
         fs::create_dir_all(&at)?;
@@ -58,7 +58,7 @@ pub fn write(tool: &Path, to: &Path) -> Result<()> {
             &["machine", "new", "--from", &name][..],
             &["machine", "write", "--twin", "--yes"],
         ] {
-            let mut run = Command::new(tool);
+            let mut run = tool();
             run.args(arguments).current_dir(&at);
             setup::output(&mut run).with_context(|| format!("{arguments:?} failed for {name}"))?;
         }

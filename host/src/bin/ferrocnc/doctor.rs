@@ -37,6 +37,11 @@ pub(crate) struct Doctor {
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, default_missing_value = "10",
           conflicts_with_all = ["soak", "fix", "undo"])]
     listen: Option<f64>,
+    /// Ping the board a thousand times a second at real-time priority for so many seconds (30): on
+    /// whichever processor, then on LinuxCNC's.
+    #[arg(long, value_name = "SECONDS", num_args = 0..=1, default_missing_value = "30",
+          requires = "address", conflicts_with_all = ["soak", "fix", "undo"])]
+    ping: Option<f64>,
     /// Look at this LinuxCNC configuration, too: its HAL files against the board, step timing,
     /// limits, homing, watchdog, e-stop.
     #[arg(long, value_name = "FILE.ini", conflicts_with_all = ["soak", "fix", "undo"])]
@@ -79,17 +84,21 @@ pub(crate) fn run(arguments: &Doctor, as_json: bool) -> Result<()> {
     let report = report(&Questions {
         address: arguments.address.as_deref(),
         interface: arguments.interface.clone(),
-        listen: arguments.listen.map(listening).transpose()?,
+        listen: time("--listen 10", arguments.listen)?,
+        ping: time("--ping 30", arguments.ping)?,
         ini: arguments.ini.as_deref(),
     })?;
     findings::tell(&report, arguments.report.as_deref(), as_json)
 }
 
-fn listening(seconds: f64) -> Result<Duration> {
-    if !(seconds > 0.0 && seconds <= LONGEST) {
-        bail!("--listen takes seconds, more than 0 and at most an hour: --listen 10");
+/// The time of an option; what is to be said instead if it is none.
+fn time(usual: &str, seconds: Option<f64>) -> Result<Option<Duration>> {
+    let is_one = |seconds: f64| seconds > 0.0 && seconds <= LONGEST;
+    if !seconds.is_none_or(is_one) {
+        let option = usual.split(' ').next().unwrap_or_default();
+        bail!("{option} takes seconds, more than 0 and at most an hour: {usual}");
     }
-    Ok(Duration::from_secs_f64(seconds))
+    Ok(seconds.map(Duration::from_secs_f64))
 }
 
 /// What is to be looked at besides this computer.
@@ -98,6 +107,7 @@ pub(crate) struct Questions<'q> {
     pub(crate) address: Option<&'q str>,
     pub(crate) interface: Option<String>,
     pub(crate) listen: Option<Duration>,
+    pub(crate) ping: Option<Duration>,
     pub(crate) ini: Option<&'q Path>,
 }
 
@@ -110,6 +120,7 @@ pub(crate) fn report(questions: &Questions<'_>) -> Result<Report> {
         board,
         interface: questions.interface.clone(),
         listen: questions.listen,
+        ping: questions.ping,
     };
     let files = questions.ini.map(|ini| read(&system, ini)).transpose()?;
     let mut report = examine(&system, &subject);

@@ -4,10 +4,11 @@ use crate::findings;
 use crate::progress::Bar;
 use anyhow::{Context, Result, bail};
 use ferrocnc::client::Client;
-use ferrocnc::doctor::cpu;
+use ferrocnc::doctor::port::Errors;
 use ferrocnc::doctor::soak::run::{Plan, measure};
 use ferrocnc::doctor::soak::{Measured, PERIOD, picture, refusal};
 use ferrocnc::doctor::system::System;
+use ferrocnc::doctor::{cpu, network};
 use ferrocnc::job::preview;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -42,11 +43,15 @@ pub(crate) fn run(system: &System<'_>, client: Client, options: &Options<'_>) ->
         cpu: cpu::isolated(system),
     };
     let board = client.address().text.clone();
+    let port = network::to(system, *client.address().socket.ip()).unwrap_or_default();
+    let before = Errors::read(system, &port);
     let measured = watched(client, &plan, options.as_json)?;
     if let Some(file) = options.plot {
         plot(&measured, &board, file)?;
     }
-    let report = measured.report(board);
+    let mut report = measured.report(board);
+    let errors = Errors::read(system, &port).since(before);
+    report.findings.push(errors);
     let mut json = report.to_json();
     json["measured"] = measured.to_json();
     let columns = usize::from(console::Term::stdout().size().1);

@@ -584,4 +584,59 @@ pub(super) const FAULTS: &[Fault] = &[
         Skipped,
         "end LinuxCNC",
     ),
+    (
+        |m| m.ping = "60000 packets transmitted, 60000 received, 0% packet loss, time 59999ms\nrtt min/avg/max/mdev = 0.046/0.091/0.312/0.033 ms\n",
+        "round trip of a ping",
+        Note,
+        "processor and port",
+    ),
+    (
+        |m| m.ping = "60000 packets transmitted, 59998 received, 0.003% packet loss, time 59999ms\nrtt min/avg/max/mdev = 0.046/0.047/0.058/0.003 ms\n",
+        "round trip of a ping",
+        Bad,
+        "another cable",
+    ),
+    (
+        |m| m.ping = "chrt: failed to set pid 0's policy: Operation not permitted\n",
+        "round trip of a ping",
+        Skipped,
+        "sudo ferrocnc doctor",
+    ),
+    (
+        |m| m.ping_there = "60000 packets transmitted, 60000 received, 0% packet loss, time 59999ms\nrtt min/avg/max/mdev = 0.046/0.047/0.083/0.003 ms\n",
+        "the same on CPU 3",
+        Note,
+        "processor and port",
+    ),
+    (
+        |m| m.file("proc/812/comm", "rtapi_app"),
+        "the same on CPU 3",
+        Skipped,
+        "end LinuxCNC",
+    ),
+    (
+        |m| {
+            m.file("sys/class/net/eth1/ifindex", "3");
+            m.file("run/systemd/netif/links/3", "ADMIN_STATE=configured\n");
+        },
+        "manager of the port",
+        Bad,
+        "/etc/systemd/network",
+    ),
+    (
+        |m| {
+            m.connection = "--\n";
+            m.file("sys/class/net/eth1/ifindex", "3");
+            m.file("run/systemd/netif/leases/3", "ADDRESS=192.168.2.7\n");
+        },
+        "where the address is from",
+        Bad,
+        "ferrocnc net setup eth1 192.168.2.50",
+    ),
+    (
+        |m| m.nft = "table inet filter {\n\tchain input {\n\t\ttype filter hook input priority filter; policy drop;\n\t}\n}\n",
+        "firewall",
+        Note,
+        "nft list ruleset",
+    ),
 ];
