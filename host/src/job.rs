@@ -2,10 +2,10 @@
 //! needed.
 //!
 //! [`program`] reads and writes them, [`svg`] makes one of a drawing, [`machine`] describes the
-//! machine, [`trace`] executes a job with the planner and the integer model of the board, [`steady`]
-//! without acceleration, [`preview`] draws the result; [`client`] talks to boards, [`stream`]
-//! executes jobs for a board without SDRAM; [`words`] reads FPGA G's words; [`pen`] makes a pen of
-//! Z; [`fonts`] finds the fonts. Docs: `docs/jobs.md`.
+//! machine, [`trace`] executes a job with the planner and the integer model of the board,
+//! [`steady`] without acceleration, [`preview`] draws the result; [`client`] talks to boards,
+//! [`stream`] executes jobs for a board without SDRAM; [`words`] reads FPGA G's words; [`pen`]
+//! makes a pen of Z; [`fonts`] finds the fonts. Docs: `docs/jobs.md`.
 
 pub mod client;
 #[cfg(feature = "drawing")]
