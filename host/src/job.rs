@@ -3,9 +3,9 @@
 //!
 //! [`program`] reads and writes them, [`svg`] makes one of a drawing, [`machine`] describes the
 //! machine, [`trace`] executes a job with the planner and the integer model of the board,
-//! [`preview`] draws the result; [`client`] talks to boards, [`stream`] executes jobs for a board
-//! without SDRAM; [`words`] reads FPGA G's words; [`pen`] makes a pen of Z; [`fonts`] finds the
-//! fonts. Docs: `docs/jobs.md`.
+//! [`steady`] without acceleration, [`preview`] draws the result; [`client`] talks to boards,
+//! [`stream`] executes jobs for a board without SDRAM; [`words`] reads FPGA G's words; [`pen`]
+//! makes a pen of Z; [`fonts`] finds the fonts. Docs: `docs/jobs.md`.
 
 pub mod client;
 #[cfg(feature = "drawing")]
@@ -17,6 +17,7 @@ pub mod pen;
 #[cfg(feature = "drawing")]
 pub mod preview;
 pub mod program;
+pub mod steady;
 pub mod stream;
 #[cfg(feature = "drawing")]
 pub mod svg;

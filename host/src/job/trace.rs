@@ -3,6 +3,7 @@
 
 use crate::job::machine::MachineFile;
 use crate::job::program::Program;
+use crate::job::steady::{Steady, steady};
 use jobs::circle::Chords;
 use jobs::instruction::{AUX_TOOL, Arc, Feed, Instruction, Place};
 use jobs::plan::{Output, Planner};
@@ -51,6 +52,8 @@ pub struct Planned {
     pub deviation: f64,
     /// Where it ends, in steps.
     pub steps: [i64; AXES],
+    /// What it would be without acceleration.
+    pub steady: Steady,
 }
 
 fn mm(place: Place) -> [f64; AXES] {
@@ -201,6 +204,7 @@ pub fn planned(program: &Program, machine: &MachineFile) -> Result<Trace, String
     }
     walk.planned.steps = planner.machine().steps();
     walk.planned.seconds = walk.clocks as f64 / f64::from(machine.clock);
+    walk.planned.steady = steady(program, machine);
     walk.trace.planned = Some(walk.planned);
     Ok(walk.trace)
 }

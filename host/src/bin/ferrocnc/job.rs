@@ -431,6 +431,10 @@ fn facts_of(program: &Program, trace: &Trace, wrong: &[String]) -> Value {
         json!({
             "seconds": planned.seconds, "segments": planned.segments, "most_segments_in_a_second": planned.densest,
             "deviation_mm": planned.deviation, "end_steps": planned.steps,
+            "without_acceleration": {
+                "seconds": planned.steady.seconds, "largest_jump_mm_s": planned.steady.jump,
+                "impossible_jumps": planned.steady.impossible, "times_acceleration": planned.steady.times,
+            },
         })
     });
     json!({
@@ -473,6 +477,14 @@ fn report(program: &Program, trace: &Trace, wrong: &[String], as_json: bool) -> 
             planned.densest,
             planned.deviation * 1e3,
             planned.steps
+        ))?;
+        let steady = planned.steady;
+        say(&format!(
+            "  at constant speed, without acceleration: {}; an axis jumps {} times by more than it can, by up to {:.0} mm/s ({:.0} times its acceleration)\n",
+            duration(steady.seconds),
+            steady.impossible,
+            steady.jump,
+            steady.times
         ))?;
     }
     for wrong in wrong {
