@@ -2,8 +2,8 @@
 //!
 //! It decides nothing: each answer of the [`api`] is what a command prints with `--json`, and the
 //! pages show it. What changes a board goes through the code of the command that does, with its
-//! refusals, and after a question. It listens at 127.0.0.1 only, and answers only a page that it has
-//! sent itself ([`guard`]).
+//! refusals, and after a question. It listens at 127.0.0.1 only, and answers only a page that it
+//! has sent itself ([`guard`]).
 
 mod answer;
 mod api;
