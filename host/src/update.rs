@@ -20,7 +20,7 @@ use crate::flash::{FlashError, Flasher, Overview, Word};
 use crate::image::{Image, fpga_name};
 use std::time::Duration;
 use wire::board::{Kind, crc32};
-use wire::flash::{Area, BLOCK, PAGE, Running, Slot};
+use wire::flash::{Area, BLOCK, Layout, PAGE, Running, Slot};
 use wire::images::{META_BYTES, Meta, idcode_of};
 
 /// How it is to be done.
@@ -113,6 +113,10 @@ pub enum UpdateError {
     Differs(u32),
     /// Everything is written, and the other slot is selected still.
     NotSelected,
+    /// The slot to go back to holds no image.
+    Empty(Slot),
+    /// No slot is selected, so there is none to go back from.
+    NoSlot,
 }
 
 impl core::fmt::Display for UpdateError {
@@ -147,6 +151,13 @@ impl core::fmt::Display for UpdateError {
             UpdateError::NotSelected => f.write_str(
                 "the image is written, but the board does not select it; look at its console (ferrocnc console). The image selected before stays selected",
             ),
+            UpdateError::Empty(slot) => write!(
+                f,
+                "slot {slot} holds no whole image to go back to; name the file of the image that you want. Nothing was changed"
+            ),
+            UpdateError::NoSlot => f.write_str(
+                "no slot is selected: the board loads its golden image at power-up; name the file of the image that you want. Nothing was changed",
+            ),
         }
     }
 }
@@ -172,21 +183,7 @@ pub fn update(
     options: &Options,
     tell: &dyn Fn(Event),
 ) -> Result<Report, UpdateError> {
-    let identity = client.identify()?;
-    let blob = identity.blob();
-    fits(
-        image,
-        blob.text(Kind::Fpga, 0),
-        blob.text(Kind::Platform, 0),
-        options.force_platform,
-    )?;
-    let overview = Overview::read(&mut client)?;
-    let Some(layout) = overview.layout else {
-        return Err(FlashError::NoFlash {
-            jedec: overview.jedec,
-        }
-        .into());
-    };
+    let (overview, layout) = look(&mut client, &For::of(image), options.force_platform)?;
     let slot = match (options.slot, overview.selected) {
         (Some(slot), Some(selected)) if slot == selected => {
             return Err(UpdateError::Selected(slot));
@@ -231,9 +228,88 @@ pub fn update(
     })
 }
 
+/// Selects the image in the slot that is not selected: what was selected before the last update.
+/// The board itself sums it up first.
+pub fn back(
+    mut client: Client,
+    options: &Options,
+    tell: &dyn Fn(Event),
+) -> Result<(Report, Meta), UpdateError> {
+    let overview = Overview::read(&mut client)?;
+    let layout = overview.layout.ok_or(FlashError::NoFlash {
+        jedec: overview.jedec,
+    })?;
+    let slot = overview.selected.ok_or(UpdateError::NoSlot)?.other();
+    let area = layout.slot(slot);
+    let mut flasher = Flasher::new(client, options.patience, |word| tell(Event::Word(word)));
+    flasher.may_write()?;
+    let page = flasher.read(area.meta(), META_BYTES as u32)?;
+    let meta = Meta::from_page(&page, area).ok_or(UpdateError::Empty(slot))?;
+    look(
+        flasher.client(),
+        &For {
+            idcode: meta.idcode,
+            platform: meta.platform.text(),
+        },
+        options.force_platform,
+    )?;
+    tell(Event::Step("checking and selecting", 0.0));
+    flasher.select(slot)?;
+    let after = Overview::read(flasher.client())?;
+    if after.selected != Some(slot) {
+        return Err(UpdateError::NotSelected);
+    }
+    let report = Report {
+        slot,
+        written: 0,
+        kept: meta.length.div_ceil(BLOCK),
+        running: after.running,
+        running_build: after.build_id,
+        selected: after.selected,
+        selected_build: meta.build_id,
+    };
+    Ok((report, meta))
+}
+
+/// What an image is for.
+struct For<'i> {
+    idcode: u32,
+    platform: &'i str,
+}
+
+impl<'i> For<'i> {
+    fn of(image: &'i Image) -> Self {
+        For {
+            idcode: image.idcode,
+            platform: &image.platform,
+        }
+    }
+}
+
+/// What the board has, if the image is for it.
+fn look(
+    client: &mut Client,
+    image: &For<'_>,
+    force_platform: bool,
+) -> Result<(Overview, Layout), UpdateError> {
+    let identity = client.identify()?;
+    let blob = identity.blob();
+    fits(
+        image,
+        blob.text(Kind::Fpga, 0),
+        blob.text(Kind::Platform, 0),
+        force_platform,
+    )?;
+    let overview = Overview::read(client)?;
+    let layout = overview.layout.ok_or(FlashError::NoFlash {
+        jedec: overview.jedec,
+    })?;
+    Ok((overview, layout))
+}
+
 /// Is the image for this board?
 fn fits(
-    image: &Image,
+    image: &For<'_>,
     fpga: Option<&str>,
     platform: Option<&str>,
     force_platform: bool,
@@ -253,7 +329,7 @@ fn fits(
     match platform == image.platform || force_platform {
         true => Ok(()),
         false => Err(UpdateError::Platform {
-            file: image.platform.clone(),
+            file: image.platform.to_owned(),
             board: platform.to_owned(),
         }),
     }

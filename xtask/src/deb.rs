@@ -230,7 +230,7 @@ fn copyright() -> Result<String> {
         Upstream-Name: FerroCNC\nSource: https://github.com/ferrocnc/ferrocnc\n\n\
         Files: *\nCopyright: {holder}\nLicense: MIT or GPL-2.0+\n\n\
         Files: host/src/bin/ferrocnc/ui/web/vendor/*\n\
-        Copyright: Jason Miller (Preact), Google Inc. (htm)\nLicense: MIT and Apache-2.0\n\n\
+        Copyright: Jason Miller (Preact), Google Inc. (htm), Leon Sorokin (uPlot)\nLicense: MIT and Apache-2.0\n\n\
         License: MIT\n{mit}\n\
         License: GPL-2.0+\n On Debian its text is /usr/share/common-licenses/GPL-2; a later version\n \
         may be taken instead.\n\n\

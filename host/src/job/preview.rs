@@ -14,26 +14,36 @@ pub fn svg(name: &str, trace: &Trace) -> String {
     svg_over(name, trace, "")
 }
 
+/// Where the picture lies: left, top, width and height in mm, with the top at -Y.
+pub fn frame(trace: &Trace) -> [f64; 4] {
+    let [low, high] = trace.extents;
+    let (width, height) = (high[0] - low[0], high[1] - low[1]);
+    let unit = unit(width, height);
+    let edge = EDGE * unit;
+    let wide = width.max(90.0 * unit) + 2.0 * edge;
+    [low[0] - edge, -high[1] - edge, wide, height + 5.0 * edge]
+}
+
+/// Text and lines keep their size on the screen: a 200th of the picture's.
+fn unit(width: f64, height: f64) -> f64 {
+    (width.max(height) / 200.0).max(0.05)
+}
+
 /// The same, over something that is SVG already.
 pub fn svg_over(name: &str, trace: &Trace, below: &str) -> String {
     let [low, high] = trace.extents;
     let (width, height) = (high[0] - low[0], high[1] - low[1]);
-    // Text and lines keep their size on the screen: a 200th of the picture's.
-    let unit = (width.max(height) / 200.0).max(0.05);
+    let unit = unit(width, height);
     let edge = EDGE * unit;
-    let (wide, tall) = (width.max(90.0 * unit) + 2.0 * edge, height + 5.0 * edge);
+    let [left, top, wide, tall] = frame(trace);
     let mut svg = String::new();
     let _ = writeln!(
         svg,
-        r#"<svg xmlns="http://www.w3.org/2000/svg" width="{wide:.3}mm" height="{tall:.3}mm" viewBox="{:.3} {:.3} {wide:.3} {tall:.3}">"#,
-        low[0] - edge,
-        -high[1] - edge
+        r#"<svg xmlns="http://www.w3.org/2000/svg" width="{wide:.3}mm" height="{tall:.3}mm" viewBox="{left:.3} {top:.3} {wide:.3} {tall:.3}">"#
     );
     let _ = writeln!(
         svg,
-        r#"<rect x="{:.3}" y="{:.3}" width="{wide:.3}" height="{tall:.3}" fill="white"/>"#,
-        low[0] - edge,
-        -high[1] - edge
+        r#"<rect x="{left:.3}" y="{top:.3}" width="{wide:.3}" height="{tall:.3}" fill="white"/>"#
     );
     let _ = writeln!(
         svg,

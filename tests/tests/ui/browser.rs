@@ -18,6 +18,9 @@ pub const ENTER: &str = "\u{e007}";
 pub const RIGHT: &str = "\u{e014}";
 pub const DOWN: &str = "\u{e015}";
 
+/// Finds what keeps readers out; it is in no package.
+const AXE: &str = include_str!("axe/axe.min.js");
+
 /// A browser with a window; it ends with the test.
 pub struct Browser {
     driver: Child,
@@ -111,6 +114,43 @@ impl Browser {
         self.post("/url", &json!({ "url": address }));
     }
 
+    /// What axe-core finds on the page that is serious or worse, with where.
+    pub fn barriers(&self) -> Vec<String> {
+        if self.js("return typeof axe", &[]) != "object" {
+            self.js(AXE, &[]);
+        }
+        let script = "const done = arguments[arguments.length - 1]; \
+             axe.run(document, { resultTypes: ['violations'] }).then((found) => done( \
+             found.violations.filter((it) => ['serious', 'critical'].includes(it.impact)) \
+             .map((it) => `${it.id}: ${it.help}: ${it.nodes.map((at) => at.html).join(' ')}`)), \
+             (error) => done([String(error)]))";
+        let found = self.post("/execute/async", &json!({ "script": script, "args": [] }));
+        let list = found.as_array().cloned().unwrap_or_default();
+        let texts = list.iter().filter_map(Value::as_str);
+        texts.map(str::to_owned).collect()
+    }
+
+    /// The window of a tablet, held upright; or that of a desktop again.
+    pub fn tablet(&self, is_one: bool) {
+        let (command, params) = match is_one {
+            true => (
+                "Emulation.setDeviceMetricsOverride",
+                json!({ "width": 820, "height": 1180, "deviceScaleFactor": 1, "mobile": true }),
+            ),
+            false => ("Emulation.clearDeviceMetricsOverride", json!({})),
+        };
+        let touch = json!({ "enabled": is_one });
+        for (cmd, params) in [
+            (command, params),
+            ("Emulation.setTouchEmulationEnabled", touch),
+        ] {
+            self.post(
+                "/goog/cdp/execute",
+                &json!({ "cmd": cmd, "params": params }),
+            );
+        }
+    }
+
     /// Runs a script; what it returns.
     pub fn js(&self, script: &str, arguments: &[Value]) -> Value {
         self.post(
@@ -191,6 +231,38 @@ impl Browser {
         self.js(script, &[element, json!(text)]);
     }
 
+    /// Takes this value of a list.
+    pub fn choose(&self, css: &str, value: &str) {
+        let script = "const [it, value] = arguments; it.value = value; \
+                      it.dispatchEvent(new Event('change', { bubbles: true }))";
+        let element = json!({ ELEMENT: self.find(css).0 });
+        self.js(script, &[element, json!(value)]);
+    }
+
+    /// The same for the field whose label begins so.
+    #[track_caller]
+    pub fn fill_labelled(&self, label: &str, text: &str) {
+        let script = "const [label, text] = arguments; \
+             const all = [...document.querySelectorAll('label')]; \
+             const it = all.find((it) => it.textContent.startsWith(label))?.querySelector('input'); \
+             if (!it) return false; it.value = text; \
+             it.dispatchEvent(new Event('input', { bubbles: true })); return true";
+        self.until(&format!("there is the field {label}"), || {
+            self.js(script, &[json!(label), json!(text)]) == true
+        });
+    }
+
+    /// Opens the part of the page that is called so.
+    #[track_caller]
+    pub fn open_part(&self, name: &str) {
+        let script = "const it = [...document.querySelectorAll('summary')] \
+             .find((it) => it.textContent === arguments[0]); \
+             if (it) it.parentElement.open = true; return Boolean(it)";
+        self.until(&format!("there is {name}"), || {
+            self.js(script, &[json!(name)]) == true
+        });
+    }
+
     /// What is in a field.
     pub fn value_of(&self, css: &str) -> String {
         let element = json!({ ELEMENT: self.find(css).0 });
@@ -265,6 +337,31 @@ impl Browser {
         let command =
             json!({ "cmd": "Emulation.setEmulatedMedia", "params": { "features": features } });
         self.post("/goog/cdp/execute", &command);
+    }
+
+    /// On paper or on a screen.
+    pub fn medium(&self, medium: &str) {
+        let command = json!({ "cmd": "Emulation.setEmulatedMedia", "params": { "media": medium } });
+        self.post("/goog/cdp/execute", &command);
+    }
+
+    /// The page as a PDF, in base64, as its print dialog makes it.
+    pub fn pdf(&self) -> String {
+        let params = json!({ "preferCSSPageSize": true, "printBackground": true });
+        let script = json!({ "cmd": "Page.printToPDF", "params": params });
+        let made = self.post("/goog/cdp/execute", &script);
+        made["data"].as_str().unwrap_or_default().to_owned()
+    }
+
+    /// Drags one element onto another, as a mouse does.
+    pub fn drag(&self, from: &Element, to: &Element) {
+        let script = "const [from, to] = arguments; const dataTransfer = new DataTransfer(); \
+             const send = (kind, it) => it.dispatchEvent(new DragEvent(kind, \
+             { dataTransfer, bubbles: true, cancelable: true })); \
+             if (!from.draggable) return false; send('dragstart', from); \
+             const isTaken = !send('dragover', to); if (isTaken) send('drop', to); return isTaken";
+        let [from, to] = [from, to].map(|it| json!({ ELEMENT: it.0 }));
+        assert_eq!(self.js(script, &[from, to]), true, "it is taken there");
     }
 
     /// What the browser has complained of: scripts that failed, files that were refused.

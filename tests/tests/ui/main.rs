@@ -2,12 +2,16 @@
 //! `target/reports`. Which requests the server answers is tested in `host/tests/ui.rs`.
 
 mod browser;
+mod change;
+mod pins_moved;
+mod repairs;
 
 use browser::{Browser, DOWN, ENTER, RIGHT, TAB};
 use ferrocnc_tests::driver::Driver;
 use ferrocnc_tests::plotter::Plotter;
 use ferrocnc_tests::{Simulator, control, program, root};
 use ferrocnc_tests::{drawing, pins};
+use std::cell::RefCell;
 use std::io::{BufRead as _, BufReader};
 use std::net::{SocketAddr, UdpSocket};
 use std::process::{Child, Command, Stdio};
@@ -22,7 +26,11 @@ struct Server {
 impl Server {
     /// In an empty folder, so that no checkout is needed.
     fn start() -> Self {
-        let mut command = Command::new(program("ferrocnc"));
+        Self::run(Command::new(program("ferrocnc")))
+    }
+
+    /// The same by this command.
+    fn run(mut command: Command) -> Self {
         // As long as a busy computer may take for an exchange.
         command
             .args(["ui", "--no-open", "--patience", "1000"])
@@ -63,13 +71,28 @@ fn board() -> (Simulator, SocketAddr) {
     (board, at)
 }
 
-/// Nothing has failed in the browser, and everything that can be used has a role and a name.
+/// Nothing has failed in the browser, everything that can be used has a role and a name, light and
+/// dark keep no reader out, and a tablet shows the page without scrolling sideways.
 #[track_caller]
 fn in_order(browser: &Browser) {
+    for scheme in ["dark", "light"] {
+        browser.scheme(scheme);
+        let barriers = browser.barriers();
+        assert!(barriers.is_empty(), "{scheme}: {barriers:#?}");
+    }
+    browser.tablet(true);
+    let wider = "const page = document.documentElement; return page.scrollWidth - page.clientWidth";
+    let wider = browser.js(wider, &[]);
+    browser.tablet(false);
+    assert_eq!(wider, 0, "pixels that a tablet does not show");
     let complaints = browser.complaints();
     assert!(complaints.is_empty(), "{complaints:#?}");
-    let controls = browser.all("a, input, select, textarea, summary, button:not(.pin)");
-    assert!(controls.len() > 4, "{}", controls.len());
+    // Behind a question nothing can be used.
+    let controls = match browser.all("dialog").is_empty() {
+        true => browser.all("a, input, select, textarea, summary, button:not(.pin)"),
+        false => browser.all("dialog button"),
+    };
+    assert!(controls.len() > 1, "{}", controls.len());
     for it in controls.into_iter().filter(|it| browser.is_shown(it)) {
         let (role, label) = (browser.role(&it), browser.label(&it));
         assert!(
@@ -99,6 +122,16 @@ fn boards_are_found_and_described() {
     browser.picture("boards");
 }
 
+/// How many plots have something in a colour: a line or a bar. Axes and grid are grey.
+const DRAWN: &str = "const has = (it) => { \
+    const { data } = it.getContext('2d').getImageData(0, 0, it.width, it.height); \
+    for (let n = 0; n < data.length; n += 4) { \
+        const [red, green, blue, cover] = data.subarray(n, n + 4); \
+        const spread = Math.max(red, green, blue) - Math.min(red, green, blue); \
+        if (cover > 200 && spread > 60) return true; } \
+    return false; }; \
+    return [...document.querySelectorAll('.plot canvas')].filter(has).length";
+
 #[test]
 fn a_fault_is_told_with_its_remedy_and_a_board_may_go_and_come_back() {
     let (board, _) = board();
@@ -109,6 +142,10 @@ fn a_fault_is_told_with_its_remedy_and_a_board_may_go_and_come_back() {
     drop(Driver::armed(board.udp()));
     browser.says("FAULTED");
     browser.says("check cable, switch and the computer's latency");
+    browser.until("its lines are drawn", || browser.js(DRAWN, &[]) == 4);
+    let plots = browser.all(".plot");
+    let said = browser.label(&plots[0]);
+    assert!(said.starts_with("Positions, steps: x "), "{said}");
     in_order(&browser);
     browser.picture("dashboard");
     control(board.control(), "ext-reset 1");
@@ -267,6 +304,12 @@ fn a_machine_is_asked_for_drawn_and_the_files_shown_are_those_that_the_command_w
     }
 }
 
+/// Where the pen is, and whether that is on the drawing.
+const PEN: &str = "const pen = document.querySelector('.pen'); if (!pen) return null; \
+    const { e, f } = pen.transform.baseVal[0].matrix; \
+    const { x, y, width, height } = pen.ownerSVGElement.viewBox.baseVal; \
+    return [e, f, e >= x && e <= x + width && f >= y && f <= y + height]";
+
 #[test]
 fn a_drawing_that_was_dropped_is_drawn_sent_and_executed_to_its_last_edge() {
     let plotter = Plotter::paced(4);
@@ -277,14 +320,7 @@ fn a_drawing_that_was_dropped_is_drawn_sent_and_executed_to_its_last_edge() {
     let machine = std::fs::read_to_string(machine).expect("the machine");
     browser.drop_file("plotter.toml", &machine);
     browser.drop_file("drawing.svg", &drawing::text());
-    let set = |label: &str, value: f64| {
-        let script = format!(
-            "const all = [...document.querySelectorAll('label')]; \
-             const it = all.find((it) => it.textContent.startsWith('{label}')).querySelector('input'); \
-             it.value = '{value}'; it.dispatchEvent(new Event('input', {{ bubbles: true }}))"
-        );
-        browser.js(&script, &[]);
-    };
+    let set = |label: &str, value: f64| browser.fill_labelled(label, &value.to_string());
     set("Tolerance", drawing::TOLERANCE);
     set("Feed", drawing::FEED);
     let program = drawing::program(drawing::TOLERANCE);
@@ -295,7 +331,21 @@ fn a_drawing_that_was_dropped_is_drawn_sent_and_executed_to_its_last_edge() {
     browser.says(&format!("{} instructions", program.instructions.len()));
     browser.click(&browser.button("Start"));
     let ended = |end: End| format!("Ended last\n{}", end.text());
-    browser.until("it is drawn", || browser.text().contains(&ended(End::Done)));
+    // Where the pen was seen on the drawing.
+    let seen = RefCell::new(Vec::new());
+    browser.until("it is drawn", || {
+        let pen = browser.js(PEN, &[]);
+        if pen.is_array() && !seen.borrow().contains(&pen) {
+            seen.borrow_mut().push(pen);
+        }
+        browser.text().contains(&ended(End::Done))
+    });
+    let seen = seen.into_inner();
+    assert!(!seen.is_empty(), "the pen is not shown");
+    assert!(
+        seen.iter().all(|it| it[2] == true),
+        "off the paper: {seen:?}"
+    );
     browser.js("scrollTo(0, 0)", &[]);
     browser.picture("jobs");
 

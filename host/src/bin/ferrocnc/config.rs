@@ -1,10 +1,12 @@
 //! `ferrocnc config`: writes, checks, shows and draws board files, and imports those of other
-//! projects. It needs no board.
+//! projects. Only `diff` needs a board.
 
 mod check;
+mod diff;
 mod drawing;
 
 pub(crate) use check::check_text;
+pub(crate) use diff::differences;
 pub(crate) use drawing::{pinout_of, pinout_to_json};
 
 use crate::consent;
@@ -40,6 +42,15 @@ pub(crate) enum ConfigCommand {
         /// As a board file, in the order and form we would write it.
         #[arg(long)]
         toml: bool,
+    },
+    /// What a board's image has other than a configuration: channels, their names and pins.
+    Diff {
+        /// A board file.
+        #[arg(value_name = "BOARD.toml")]
+        file: PathBuf,
+        /// IP[:port] of the board.
+        #[arg(value_name = "BOARD")]
+        address: String,
     },
     /// Draw the headers with what is on every pin: in the terminal, or as SVG to print and solder
     /// by.
@@ -178,6 +189,7 @@ pub(crate) fn run(command: &ConfigCommand, as_json: bool) -> Result<()> {
             };
             say(&text)
         }
+        ConfigCommand::Diff { file, address } => diff::diff(file, address, as_json),
         ConfigCommand::Pinout {
             what,
             output,

@@ -9,7 +9,8 @@ use ferrocnc::uid::{mac_text, uid_text};
 use serde_json::{Value, json};
 use std::io::Write;
 use std::net::Ipv4Addr;
-use wire::board::Kind;
+use wire::board::{Blob, Kind};
+use wire::describe::Channels;
 use wire::describe::{FEATURE_JOBS, JobsState, OBSTACLE_ABI, OBSTACLE_FLASH};
 use wire::refusal::COUNTERS_CALLS;
 use wire::settings::mac_of_uid;
@@ -86,8 +87,7 @@ pub(crate) fn ways_to_json(ways: &ways::Facts) -> Value {
 }
 
 /// Names of one kind's channels, with their header pins.
-fn channels(identity: &Identity, kind: Kind, class: char, count: u8) -> Vec<(String, String)> {
-    let blob = identity.blob();
+fn channels(blob: &Blob<'_>, kind: Kind, class: char, count: u8) -> Vec<(String, String)> {
     let pins = |n: u8| {
         let mut of_class = blob.entries().filter(|entry| {
             entry.kind == Kind::Pins
@@ -107,23 +107,23 @@ fn channels(identity: &Identity, kind: Kind, class: char, count: u8) -> Vec<(Str
         .collect()
 }
 
-fn classes(identity: &Identity) -> [(&'static str, Vec<(String, String)>); 5] {
-    let counts = identity.describe.channels;
+/// Names and pins of the channels of a board's image.
+pub(crate) fn classes(identity: &Identity) -> [(&'static str, Vec<(String, String)>); 5] {
+    classes_of(&identity.blob(), identity.describe.channels)
+}
+
+/// The same of a board info blob.
+pub(crate) fn classes_of(
+    blob: &Blob<'_>,
+    counts: Channels,
+) -> [(&'static str, Vec<(String, String)>); 5] {
+    let of = |kind, class, count| channels(blob, kind, class, count);
     [
-        (
-            "stepgen",
-            channels(identity, Kind::Stepgen, 's', counts.stepgens),
-        ),
-        (
-            "encoder",
-            channels(identity, Kind::Encoder, 'e', counts.encoders),
-        ),
-        ("pwm", channels(identity, Kind::Pwm, 'p', counts.pwms)),
-        ("input", channels(identity, Kind::Input, 'i', counts.inputs)),
-        (
-            "output",
-            channels(identity, Kind::Output, 'o', counts.outputs),
-        ),
+        ("stepgen", of(Kind::Stepgen, 's', counts.stepgens)),
+        ("encoder", of(Kind::Encoder, 'e', counts.encoders)),
+        ("pwm", of(Kind::Pwm, 'p', counts.pwms)),
+        ("input", of(Kind::Input, 'i', counts.inputs)),
+        ("output", of(Kind::Output, 'o', counts.outputs)),
     ]
 }
 
@@ -304,6 +304,8 @@ fn to_json(identity: &Identity, overview: &Overview) -> Value {
             "gateway": Ipv4Addr::from(settings.gateway).to_string(),
             "mac": mac_text(settings.mac),
             "port": settings.port,
+            "syslog": Ipv4Addr::from(settings.syslog).to_string(),
+            "sntp": Ipv4Addr::from(settings.sntp).to_string(),
         })),
         "link": {
             "mbit": overview.link.speed.mbit(),

@@ -1,13 +1,15 @@
 //! `ferrocnc doctor`: what of this computer makes exchanges late or loses them.
 
 use crate::{consent, findings, soak};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Error, Result, anyhow, bail};
 use clap::Args;
 use ferrocnc::doctor::files::Files;
 use ferrocnc::doctor::fix::{Fix, before, fixes, undo_file, written};
 use ferrocnc::doctor::system::System;
 use ferrocnc::doctor::{Subject, board, examine, line, machine, names};
 use ferrocnc::finding::Report;
+use serde::Deserialize;
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -182,6 +184,71 @@ fn to_text(fix: &Fix) -> String {
         text += &format!("  /{path}: {now}, to be {wanted}\n");
     }
     text + &format!("  /{} makes it last\n", fix.path())
+}
+
+/// For a page: each repair with all that it would write, and what takes back each that was made.
+pub(crate) fn repairs() -> Value {
+    let system = System::real();
+    let root = consent::needs_root("values of the kernel", "doctor --fix");
+    json!({
+        "fixes": fixes(&system).iter().map(|fix| fix_to_json(&system, fix)).collect::<Vec<_>>(),
+        "undo": written(&system).iter().map(|path| undo_to_json(&system, path)).collect::<Vec<_>>(),
+        "refused": root.err().map(|why| why.to_string()),
+    })
+}
+
+fn fix_to_json(system: &System<'_>, fix: &Fix) -> Value {
+    let mut writes: Vec<Value> = fix
+        .values
+        .iter()
+        .map(|value| json!({ "path": format!("/{}", value.path), "now": value.now, "text": value.wanted }))
+        .collect();
+    let now = system.read(&fix.path());
+    let text = fix.text(now.as_deref());
+    writes.push(json!({ "path": format!("/{}", fix.path()), "now": now, "text": text }));
+    json!({ "check": fix.check, "writes": writes })
+}
+
+fn undo_to_json(system: &System<'_>, path: &str) -> Value {
+    let text = system.read(path).unwrap_or_default();
+    let mut writes: Vec<Value> = before(&text)
+        .map(|(file, value)| {
+            json!({ "path": format!("/{file}"), "now": system.read(file), "text": value })
+        })
+        .collect();
+    writes.push(json!({ "path": format!("/{path}"), "now": text, "text": null }));
+    json!({ "check": path, "writes": writes })
+}
+
+/// One repair that a page has shown, or the end of one: done only if it would still write what was
+/// shown.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Shown {
+    undo: bool,
+    shown: Value,
+}
+
+impl Shown {
+    pub(crate) fn take(&self) -> Result<()> {
+        let system = System::real();
+        consent::needs_root("values of the kernel", "doctor --fix")?;
+        let stale = || {
+            anyhow!("what would be written is not what was shown any more; look again, then decide")
+        };
+        if self.undo {
+            let all = written(&system);
+            let path = all
+                .iter()
+                .find(|path| undo_to_json(&system, path) == self.shown);
+            return undo_file(&system, path.ok_or_else(stale)?).map_err(Error::msg);
+        }
+        let all = fixes(&system);
+        let fix = all
+            .iter()
+            .find(|fix| fix_to_json(&system, fix) == self.shown);
+        fix.ok_or_else(stale)?.apply(&system).map_err(Error::msg)
+    }
 }
 
 fn undo(system: &System<'_>, yes: bool) -> Result<()> {

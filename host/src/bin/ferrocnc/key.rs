@@ -1,12 +1,14 @@
 //! `ferrocnc key`: makes, sets, removes and shows a board's pre-shared key. The key is never on a
 //! command line and is never printed.
 
-use anyhow::{Context, Result, bail};
+use crate::text::{Told, tell};
+use anyhow::{Context, Result, anyhow, bail};
 use clap::Subcommand;
 use ferrocnc::client::{Client, ClientError};
 use ferrocnc::keys::{self, Key, KeyError, Keys};
 use ferrocnc::provision::{self, ProvisionError};
 use ferrocnc::uid::uid_text;
+use serde::Deserialize;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -49,24 +51,64 @@ pub(crate) enum KeyCommand {
 }
 
 pub(crate) fn run(command: &KeyCommand, as_json: bool) -> Result<()> {
-    match command {
-        KeyCommand::New { address } => {
-            let key = Key::random().context("no random numbers")?;
-            set(address, Some(key), as_json)
-        }
+    let told = match command {
+        KeyCommand::New { address } => set(address, Some(random()?))?,
         KeyCommand::Set { address, file } => {
             let key = keys::read(file).with_context(|| "the new key".to_owned())?;
-            set(address, Some(key), as_json)
+            set(address, Some(key))?
         }
-        KeyCommand::Clear { address } => set(address, None, as_json),
-        KeyCommand::Show { address } => show(address, as_json),
+        KeyCommand::Clear { address } => set(address, None)?,
+        KeyCommand::Show { address } => show(address)?,
+    };
+    tell(&told, as_json)
+}
+
+fn random() -> Result<Key> {
+    Key::random().context("no random numbers")
+}
+
+/// What a page wants of a board's key.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Wanted {
+    board: String,
+    order: Order,
+    /// What is in the file of the key that is to be set, and its name.
+    #[serde(default)]
+    text: String,
+    #[serde(default)]
+    file: String,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Order {
+    New,
+    Set,
+    Clear,
+}
+
+impl Wanted {
+    /// `ferrocnc key new`, `set` and `clear`.
+    pub(crate) fn take(&self) -> Result<Told> {
+        let key = match self.order {
+            Order::New => Some(random()?),
+            Order::Set => Some(Key::parse(&self.text).ok_or_else(|| {
+                anyhow!(
+                    "the new key: {}",
+                    KeyError::Malformed(PathBuf::from(&self.file))
+                )
+            })?),
+            Order::Clear => None,
+        };
+        set(&self.board, key)
     }
 }
 
 /// Sets or clears the key. The new key is on the disk before it is sent to the board, and beside
 /// the old one's file until the board is known to have it or to have refused it: after any
 /// interruption or loss both files exist, and every command that needs the key tries both.
-fn set(address: &str, key: Option<Key>, as_json: bool) -> Result<()> {
+fn set(address: &str, key: Option<Key>) -> Result<Told> {
     let mut client = crate::open(address)?;
     let (locked, uid) = client.locked()?;
     if key.is_none() && !locked {
@@ -98,21 +140,16 @@ fn set(address: &str, key: Option<Key>, as_json: bool) -> Result<()> {
         let _ = std::fs::remove_file(path);
     }
     let fingerprint = key.map(|key| key.fingerprint());
-    if as_json {
-        println!(
-            "{:#}",
-            json!({ "uid": uid_text(uid), "file": key.map(|_| home), "fingerprint": fingerprint })
-        );
-    } else if let Some(fingerprint) = fingerprint {
-        println!(
-            "board {} has the key in {} (fingerprint {fingerprint}); copy that file to every computer that is to drive the board",
-            uid_text(uid),
+    let board = uid_text(uid);
+    let text = match &fingerprint {
+        Some(fingerprint) => format!(
+            "board {board} has the key in {} (fingerprint {fingerprint}); copy that file to every computer that is to drive the board",
             home.display()
-        );
-    } else {
-        println!("board {} has no key any more", uid_text(uid));
-    }
-    Ok(())
+        ),
+        None => format!("board {board} has no key any more"),
+    };
+    let json = json!({ "uid": board, "file": key.map(|_| home), "fingerprint": fingerprint });
+    Ok(Told { json, text })
 }
 
 /// The board has not confirmed the key. Only where it cannot have it the file goes.
@@ -174,7 +211,8 @@ fn fits(client: &mut Client) -> Result<(), ClientError> {
     Ok(())
 }
 
-fn show(address: &str, as_json: bool) -> Result<()> {
+/// `ferrocnc key show`.
+pub(crate) fn show(address: &str) -> Result<Told> {
     let mut client = crate::open(address)?;
     let (locked, uid) = client.locked()?;
     let all = crate::keys();
@@ -196,44 +234,48 @@ fn show(address: &str, as_json: bool) -> Result<()> {
         Err(error) => Err(error.to_string()),
     };
     let waiting = all.pending(uid)?;
-    if as_json {
-        let (fingerprint, problem) = match ours {
-            Ok(fingerprint) => (fingerprint, None),
-            Err(problem) => (None, Some(problem)),
-        };
-        println!(
-            "{:#}",
-            json!({
-                "uid": uid_text(uid), "locked": locked, "file": path,
-                "fingerprint": fingerprint, "problem": problem, "fits": fits,
-                "on_their_way": waiting,
-            })
-        );
-        return Ok(());
-    }
-    println!(
-        "board {}: {}",
-        uid_text(uid),
-        match locked {
-            true => "has a key",
-            false => "has no key; every computer on the network may command it (ferrocnc key new)",
-        }
-    );
-    match ours {
-        Ok(Some(fingerprint)) => println!("{}: fingerprint {fingerprint}", path.display()),
-        Ok(None) => println!("{}: not there", path.display()),
-        Err(problem) => println!("{problem}"),
-    }
-    for path in waiting {
-        println!(
+    let text = said(uid, locked, &path, &ours, &waiting, fits);
+    let (fingerprint, problem) = match ours {
+        Ok(fingerprint) => (fingerprint, None),
+        Err(problem) => (None, Some(problem)),
+    };
+    let json = json!({
+        "uid": uid_text(uid), "locked": locked, "file": path,
+        "fingerprint": fingerprint, "problem": problem, "fits": fits,
+        "on_their_way": waiting,
+    });
+    Ok(Told { json, text })
+}
+
+/// The same as sentences.
+fn said(
+    uid: [u32; 2],
+    locked: bool,
+    path: &Path,
+    ours: &Result<Option<String>, String>,
+    waiting: &[PathBuf],
+    fits: Option<bool>,
+) -> String {
+    let has = match locked {
+        true => "has a key",
+        false => "has no key; every computer on the network may command it (ferrocnc key new)",
+    };
+    let mut lines = vec![format!("board {}: {has}", uid_text(uid))];
+    lines.push(match ours {
+        Ok(Some(fingerprint)) => format!("{}: fingerprint {fingerprint}", path.display()),
+        Ok(None) => format!("{}: not there", path.display()),
+        Err(problem) => problem.clone(),
+    });
+    lines.extend(waiting.iter().map(|path| {
+        format!(
             "{}: was on its way to the board, which does not have it so far",
             path.display()
-        );
-    }
+        )
+    }));
     match fits {
-        Some(true) => println!("they fit"),
-        Some(false) => println!("they do not fit: the board has another key"),
+        Some(true) => lines.push("they fit".to_owned()),
+        Some(false) => lines.push("they do not fit: the board has another key".to_owned()),
         None => {}
     }
-    Ok(())
+    lines.join("\n")
 }

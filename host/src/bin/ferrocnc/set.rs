@@ -1,11 +1,13 @@
 //! `ferrocnc set`: changes a board's address, name, MAC and port, and the servers of its log.
 
 use crate::discover::{Where, to_json};
-use anyhow::{Context, Result, bail};
+use crate::text::{Told, tell};
+use anyhow::{Context, Error, Result, bail};
 use clap::{ArgGroup, Args};
 use ferrocnc::client::Client;
 use ferrocnc::provision::{self, Change, ProvisionError};
 use ferrocnc::uid::{mac_text, uid_parse, uid_text};
+use serde::Deserialize;
 use serde_json::json;
 use std::net::Ipv4Addr;
 use std::time::Duration;
@@ -70,14 +72,78 @@ pub(crate) fn run(arguments: &Set, as_json: bool) -> Result<()> {
              or --factory"
         );
     }
-    match (&arguments.address, arguments.uid) {
-        (Some(address), _) => at(crate::open(address)?, &change, arguments.factory, as_json),
-        (None, Some(uid)) => by_uid(uid, &change, arguments, as_json),
+    let told = match (&arguments.address, arguments.uid) {
+        (Some(address), _) => at(crate::open(address)?, &change, arguments.factory)?,
+        (None, Some(uid)) => by_uid(uid, &change, arguments)?,
         (None, None) => bail!("which board? Name its address or --uid"),
+    };
+    tell(&told, as_json)
+}
+
+/// The same options from a page, which names the board by its address. Empty text is not given.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Wanted {
+    board: String,
+    #[serde(default)]
+    ip: String,
+    #[serde(default)]
+    gateway: String,
+    #[serde(default)]
+    dhcp: bool,
+    /// A name may become empty.
+    name: Option<String>,
+    #[serde(default)]
+    mac: String,
+    #[serde(default)]
+    port: String,
+    #[serde(default)]
+    syslog: String,
+    #[serde(default)]
+    sntp: String,
+    #[serde(default)]
+    factory: bool,
+}
+
+impl Wanted {
+    fn change(&self) -> Result<Change> {
+        Ok(Change {
+            ip: given(&self.ip, parse_ip)?,
+            gateway: given(&self.gateway, parse_server)?,
+            dhcp: self.dhcp.then_some(true),
+            name: self
+                .name
+                .as_deref()
+                .map(parse_name)
+                .transpose()
+                .map_err(Error::msg)?,
+            mac: given(&self.mac, parse_mac)?.map(|mac| mac.0),
+            port: given(&self.port, parse_port)?,
+            syslog: given(&self.syslog, parse_server)?,
+            sntp: given(&self.sntp, parse_server)?,
+        })
+    }
+
+    /// `ferrocnc set`.
+    pub(crate) fn take(&self) -> Result<Told> {
+        let change = self.change()?;
+        match (change.is_empty(), self.factory) {
+            (true, false) => bail!("nothing to set: no field is another one than before"),
+            (false, true) => {
+                bail!("built-in settings and settings of your own; take one of the two")
+            }
+            (true, true) | (false, false) => at(crate::open(&self.board)?, &change, self.factory),
+        }
     }
 }
 
-fn by_uid(uid: [u32; 2], change: &Change, arguments: &Set, as_json: bool) -> Result<()> {
+fn given<T>(text: &str, parse: impl Fn(&str) -> Result<T, String>) -> Result<Option<T>> {
+    let text = text.trim();
+    let parsed = (!text.is_empty()).then(|| parse(text)).transpose();
+    parsed.map_err(Error::msg)
+}
+
+fn by_uid(uid: [u32; 2], change: &Change, arguments: &Set) -> Result<Told> {
     let finder = arguments.wherever.finder()?;
     let found = if arguments.factory {
         let (_, client) = provision::reach(&finder, uid)?;
@@ -91,16 +157,12 @@ fn by_uid(uid: [u32; 2], change: &Change, arguments: &Set, as_json: bool) -> Res
     } else {
         provision::set_by_uid(&finder, uid, change, &crate::keys())?
     };
-    tell(&found, as_json);
-    Ok(())
+    Ok(told(&found))
 }
 
-fn tell(found: &ferrocnc::discovery::Found, as_json: bool) {
-    if as_json {
-        return println!("{:#}", to_json(found));
-    }
+fn told(found: &ferrocnc::discovery::Found) -> Told {
     let here = &found.here;
-    println!(
+    let text = format!(
         "{} has {}{}, MAC {}, name {}",
         uid_text(found.uid),
         found.socket(),
@@ -112,20 +174,23 @@ fn tell(found: &ferrocnc::discovery::Found, as_json: bool) {
             here.name.text()
         },
     );
+    Told {
+        json: to_json(found),
+        text,
+    }
 }
 
-fn at(client: Client, change: &Change, factory: bool, as_json: bool) -> Result<()> {
+fn at(client: Client, change: &Change, factory: bool) -> Result<Told> {
     let address = client.address().clone();
     if factory {
         provision::forget_at(client)
             .map_err(|error| untaken(error, "at the address built into it"))?;
-        match as_json {
-            true => println!("{:#}", json!({ "factory": true })),
-            false => println!(
+        return Ok(Told {
+            json: json!({ "factory": true }),
+            text: format!(
                 "{address} has erased its settings and starts with the built-in ones; ferrocnc discover shows its address"
             ),
-        }
-        return Ok(());
+        });
     }
     let elsewhere = match (change.ip, change.dhcp) {
         (_, Some(true)) => "at an address from DHCP".to_owned(),
@@ -134,27 +199,23 @@ fn at(client: Client, change: &Change, factory: bool, as_json: bool) -> Result<(
     };
     let settings = provision::set_at(client, change).map_err(|error| untaken(error, &elsewhere))?;
     let ip = Ipv4Addr::from(settings.ip);
-    if as_json {
-        println!(
-            "{:#}",
-            json!({
-                "ip": ip.to_string(),
-                "prefix": settings.prefix,
-                "gateway": Ipv4Addr::from(settings.gateway).to_string(),
-                "dhcp": settings.dhcp,
-                "port": settings.port,
-                "name": settings.name.text(),
-                "mac": mac_text(settings.mac),
-            })
-        );
-    } else if settings.dhcp {
-        println!(
+    let text = if settings.dhcp {
+        format!(
             "saved; the board restarts and asks a DHCP server ({ip} if none answers). ferrocnc discover shows its address"
-        );
+        )
     } else {
-        println!("saved; the board restarts at {ip}:{}", settings.port);
-    }
-    Ok(())
+        format!("saved; the board restarts at {ip}:{}", settings.port)
+    };
+    let json = json!({
+        "ip": ip.to_string(),
+        "prefix": settings.prefix,
+        "gateway": Ipv4Addr::from(settings.gateway).to_string(),
+        "dhcp": settings.dhcp,
+        "port": settings.port,
+        "name": settings.name.text(),
+        "mac": mac_text(settings.mac),
+    });
+    Ok(Told { json, text })
 }
 
 /// Says where to look for a board that may have been changed.
@@ -185,6 +246,16 @@ fn parse_ip(text: &str) -> Result<(Ipv4Addr, Option<u8>), String> {
     let ip = ip.parse().map_err(|_| wrong())?;
     let prefix = prefix.map(str::parse).transpose().map_err(|_| wrong())?;
     Ok((ip, prefix))
+}
+
+fn parse_server(text: &str) -> Result<Ipv4Addr, String> {
+    let wrong = |_| format!("\"{text}\" is not an IP address; write it as 192.168.2.1");
+    text.parse().map_err(wrong)
+}
+
+fn parse_port(text: &str) -> Result<u16, String> {
+    let wrong = |_| format!("\"{text}\" is not a port: a number from 1 to 65535");
+    text.parse().map_err(wrong)
 }
 
 fn parse_name(text: &str) -> Result<Name, String> {

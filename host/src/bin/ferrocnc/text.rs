@@ -20,3 +20,17 @@ pub(crate) fn drawn(pinout: &Pinout, coloured: bool) -> String {
 pub(crate) fn version(word: u32) -> String {
     format!("{}.{}.{}", word >> 16, word >> 8 & 0xff, word & 0xff)
 }
+
+/// What came of a command, for programs and for people.
+pub(crate) struct Told {
+    pub(crate) json: serde_json::Value,
+    pub(crate) text: String,
+}
+
+/// Prints it the one way or the other.
+pub(crate) fn tell(told: &Told, as_json: bool) -> Result<()> {
+    match as_json {
+        true => say(&format!("{:#}\n", told.json)),
+        false => say(&format!("{}\n", told.text)),
+    }
+}

@@ -1,15 +1,16 @@
 //! `ferrocnc ui`: the tool's answers as pages in a browser, from a server on this computer.
 //!
 //! It decides nothing: each answer of the [`api`] is what a command prints with `--json`, and the
-//! pages show it. It writes no file, takes no session but for [`bench`], and commands no board but
-//! for jobs. It listens at 127.0.0.1 only, and answers only a page that it has sent itself
-//! ([`guard`]).
+//! pages show it. What changes a board goes through the code of the command that does, with its
+//! refusals, and after a question. It listens at 127.0.0.1 only, and answers only a page that it
+//! has sent itself ([`guard`]).
 
 mod answer;
 mod api;
 mod bench;
 mod guard;
 mod live;
+mod update;
 mod web;
 
 use anyhow::{Context, Result, bail};
@@ -88,12 +89,20 @@ fn pages(guard: Guard, patience: Duration) -> Router {
     let answers = Router::new()
         .route("/discover", get(api::discover))
         .route("/describe", get(api::describe))
+        .route("/set", post(api::board_set))
+        .route("/key", get(api::key_show).post(api::key_order))
+        .route("/update", post(update::update).layer(large))
         .route("/doctor", get(api::doctor))
+        .route(
+            "/doctor/repairs",
+            get(api::doctor_repairs).post(api::doctor_repair),
+        )
         .route("/watch", get(live::watch))
         .route("/log", get(live::log))
         .route("/platforms", get(api::platforms))
         .route("/config/new", post(api::config_new))
         .route("/config/check", post(api::config_check))
+        .route("/config/diff", post(api::config_diff))
         .route("/config/pinout", post(api::config_pinout))
         .route("/config/svg", post(api::config_svg))
         .route("/config/import", post(api::config_import))

@@ -4,13 +4,15 @@ use crate::discover::Where;
 use crate::images;
 use crate::progress::Bar;
 use crate::set::parse_uid;
+use crate::text::{Told, tell};
 use anyhow::{Context, Result, bail};
 use clap::{ArgGroup, Args, ValueEnum};
 use ferrocnc::client::Client;
 use ferrocnc::flash::Word;
 use ferrocnc::image::Image;
 use ferrocnc::provision;
-use ferrocnc::update::{Event, Options, Report, update};
+use ferrocnc::update::{Event, Options, Report, back, update};
+use serde::Deserialize;
 use serde_json::json;
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -44,6 +46,10 @@ pub(crate) struct Update {
     /// Write this slot; the one that is not selected if not given.
     #[arg(long, value_enum, ignore_case = true)]
     slot: Option<Slot>,
+    /// Write nothing: select the image in the other slot, which was selected before the last
+    /// update. The board sums it up first.
+    #[arg(long, conflicts_with_all = ["file", "configuration", "slot", "quick"])]
+    back: bool,
     /// Trust the board's CRC, do not read every byte back.
     #[arg(long)]
     quick: bool,
@@ -89,21 +95,21 @@ impl Update {
             (None, None) => bail!("which board? Name its address or --uid"),
         }
     }
+}
 
-    /// The installed image for the card that the board says it is.
-    fn installed(&self, client: &mut Client) -> Result<PathBuf> {
-        let identity = client.identify()?;
-        let blob = identity.blob();
-        let said = |kind| blob.text(kind, 0).filter(|text| !text.is_empty());
-        let Some(card) = said(Kind::Platform) else {
-            bail!(
-                "the board does not say which card it is; name a file: ferrocnc update BOARD NAME.bit"
-            );
-        };
-        let board = self.configuration.as_deref();
-        let board = board.or_else(|| said(Kind::Configuration));
-        Ok(images::of_card(&self.images, card, board)?.with_extension("bit"))
-    }
+/// The installed image for the card that the board says it is, of this board file or of the one
+/// that it runs.
+fn installed(folder: &Path, configuration: Option<&str>, client: &mut Client) -> Result<PathBuf> {
+    let identity = client.identify()?;
+    let blob = identity.blob();
+    let said = |kind| blob.text(kind, 0).filter(|text| !text.is_empty());
+    let Some(card) = said(Kind::Platform) else {
+        bail!(
+            "the board does not say which card it is; name a file: ferrocnc update BOARD NAME.bit"
+        );
+    };
+    let board = configuration.or_else(|| said(Kind::Configuration));
+    Ok(images::of_card(folder, card, board)?.with_extension("bit"))
 }
 
 fn read(file: &Path) -> Result<Image> {
@@ -113,13 +119,6 @@ fn read(file: &Path) -> Result<Image> {
 
 pub(crate) fn run(arguments: &Update, as_json: bool) -> Result<()> {
     let (board, file) = arguments.named()?;
-    let (image, client) = match file {
-        Some(file) => (read(file)?, arguments.client(board)?),
-        None => {
-            let mut client = arguments.client(board)?;
-            (read(&arguments.installed(&mut client)?)?, client)
-        }
-    };
     let options = Options {
         slot: arguments.slot.map(|slot| match slot {
             Slot::A => wire::flash::Slot::A,
@@ -130,32 +129,114 @@ pub(crate) fn run(arguments: &Update, as_json: bool) -> Result<()> {
         patience: Duration::from_secs(arguments.patience),
     };
     let bar = RefCell::new(Bar::new(as_json));
-    let report = update(client, &image, &options, &|event| show(&bar, event));
+    let shown = |event| show(&bar, event);
+    let told = match (arguments.back, file) {
+        (true, Some(file)) => bail!("{}: --back takes no file", file.display()),
+        (true, None) => turned_back(arguments.client(board)?, &options, &shown),
+        (false, Some(file)) => {
+            let image = read(file)?;
+            updated(arguments.client(board)?, &image, &options, &shown)
+        }
+        (false, None) => {
+            let mut client = arguments.client(board)?;
+            let configuration = arguments.configuration.as_deref();
+            let image = read(&installed(&arguments.images, configuration, &mut client)?)?;
+            updated(client, &image, &options, &shown)
+        }
+    };
     drop(bar);
-    let report = report?;
-    if as_json {
-        println!("{:#}", to_json(&report));
-    } else {
-        println!("{}", to_text(&report, &image));
+    tell(&told?, as_json)
+}
+
+fn updated(client: Client, image: &Image, options: &Options, show: &dyn Fn(Event)) -> Result<Told> {
+    let report = update(client, image, options, show)?;
+    Ok(Told {
+        json: to_json(&report),
+        text: to_text(&report, image),
+    })
+}
+
+fn turned_back(client: Client, options: &Options, show: &dyn Fn(Event)) -> Result<Told> {
+    let (report, meta) = back(client, options, show)?;
+    let text = format!(
+        "slot {} holds {} on {}, build {:08x}, and is selected\n{}",
+        report.slot,
+        meta.configuration,
+        meta.platform,
+        meta.build_id,
+        powered(&report)
+    );
+    Ok(Told {
+        json: to_json(&report),
+        text,
+    })
+}
+
+/// What a page wants to be updated.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Wanted {
+    board: String,
+    /// The bitstream's name: its bytes are in the request. The installed image if there is none.
+    #[serde(default)]
+    file: String,
+    /// Back to the image in the other slot.
+    #[serde(default)]
+    back: bool,
+}
+
+impl Wanted {
+    /// `ferrocnc update`: its progress goes to `say`.
+    pub(crate) fn take(&self, bytes: &[u8], say: &dyn Fn(Progress)) -> Result<Told> {
+        let options = Options::default();
+        let show = |event| say(Progress::of(event));
+        let mut client = crate::open(&self.board)?;
+        match (self.back, self.file.as_str()) {
+            (true, "") => turned_back(client, &options, &show),
+            (true, file) => bail!("{file}: back to the image before takes no file"),
+            (false, "") => {
+                let path = installed(Path::new(images::INSTALLED), None, &mut client)?;
+                updated(client, &read(&path)?, &options, &show)
+            }
+            (false, file) => {
+                let image = Image::parse(bytes).with_context(|| file.to_owned())?;
+                updated(client, &image, &options, &show)
+            }
+        }
     }
-    Ok(())
+}
+
+/// What is going on, in words.
+pub(crate) enum Progress {
+    /// So much of a step is done, of 1.
+    Step(&'static str, f64),
+    /// A sentence.
+    Word(String),
+}
+
+impl Progress {
+    fn of(event: Event) -> Self {
+        let word = match event {
+            Event::Step(step, part) => return Progress::Step(step, part),
+            Event::Word(Word::Silent(patience)) => format!(
+                "the board does not answer; waiting up to {} s",
+                patience.as_secs()
+            ),
+            Event::Word(Word::Back) => "the board answers again".to_owned(),
+            Event::NoGolden => "warning: there is no golden image in this board's flash; if both slots fail the board needs JTAG".to_owned(),
+            Event::Unprotected => {
+                "warning: the board's flash does not protect its golden image".to_owned()
+            }
+        };
+        Progress::Word(word)
+    }
 }
 
 fn show(bar: &RefCell<Bar>, event: Event) {
     let mut bar = bar.borrow_mut();
-    match event {
-        Event::Step(step, part) => bar.show(step, part),
-        Event::Word(Word::Silent(patience)) => bar.say(&format!(
-            "the board does not answer; waiting up to {} s",
-            patience.as_secs()
-        )),
-        Event::Word(Word::Back) => bar.say("the board answers again"),
-        Event::NoGolden => bar.say(
-            "warning: there is no golden image in this board's flash; if both slots fail the board needs JTAG",
-        ),
-        Event::Unprotected => {
-            bar.say("warning: the board's flash does not protect its golden image");
-        }
+    match Progress::of(event) {
+        Progress::Step(step, part) => bar.show(step, part),
+        Progress::Word(word) => bar.say(&word),
     }
 }
 
@@ -165,14 +246,22 @@ fn to_text(report: &Report, image: &Image) -> String {
         (written, 0) => format!("{written} blocks written"),
         (written, kept) => format!("{written} blocks written, {kept} were right already"),
     };
-    let running = format!("{}, build {:08x}", report.running, report.running_build);
-    let next = match report.running_build == image.build {
-        true => "It runs already".to_owned(),
-        false => "Power the board off and on to run it".to_owned(),
+    format!(
+        "slot {} holds {image} ({blocks}), verified and selected\n{}",
+        report.slot,
+        powered(report)
+    )
+}
+
+/// What runs now, and what after the next power-up.
+fn powered(report: &Report) -> String {
+    let next = match report.running_build == report.selected_build {
+        true => "It runs already",
+        false => "Power the board off and on to run it",
     };
     format!(
-        "slot {} holds {image} ({blocks}), verified and selected\nruns now:              {running}\nafter next power-up:   slot {}, build {:08x}\n{next}",
-        report.slot, report.slot, report.selected_build
+        "runs now:              {}, build {:08x}\nafter next power-up:   slot {}, build {:08x}\n{next}",
+        report.running, report.running_build, report.slot, report.selected_build
     )
 }
 

@@ -9,7 +9,7 @@ use ferrocnc::selftest::ways;
 use serde_json::{Value, json};
 use std::fmt::{self, Write as _};
 use std::io::Write;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use wire::board::Kind;
 use wire::exchange::{Status, status_words};
 use wire::flash::LinkWord;
@@ -68,12 +68,16 @@ pub(crate) struct Look {
     owner: Option<std::net::SocketAddrV4>,
     link: LinkWord,
     ways: ways::Facts,
+    /// How long the board took to answer the question of the status window, repeats included.
+    answer: Duration,
 }
 
 impl Look {
     fn take(client: &mut Client, identity: &Identity) -> Result<Look> {
         let channels = identity.describe.channels;
+        let asked = Instant::now();
         let words = client.read_from(map::STATUS, status_words(channels))?;
+        let answer = asked.elapsed();
         let status = Status::parse(&words, channels)
             .context("the board's status is invalid; compare versions with ferrocnc describe")?;
         let counters = client.read_from(map::COUNTERS, PLAIN_COUNTERS + Refusal::COUNT)?;
@@ -95,6 +99,7 @@ impl Look {
             owner,
             link,
             ways: ways::Facts::from_words([now[3], now[4], now[5]]),
+            answer,
         })
     }
 
@@ -165,6 +170,7 @@ impl Look {
             "frames_tx": self.counters.get(1),
             "exchanges": self.counters.get(2),
             "ways": ways_to_json(&self.ways),
+            "answer_us": self.answer.as_secs_f64() * 1e6,
             "refused": self.refusals().map(|(key, count)| (key.to_owned(), count.into())).collect::<serde_json::Map<_, _>>(),
         })
     }

@@ -108,7 +108,11 @@ impl Sheet {
         });
         let trace = traced(&program, machine.as_ref())?;
         let svg = preview::svg(&program.name, &trace);
-        let mut drawn = json!({ "svg": svg, "notes": notes });
+        // Of these the page knows where on the drawing the axes are.
+        let scale = machine.map(|it| [&it.x, &it.y, &it.z].map(|axis| axis.steps_per_mm));
+        let frame = preview::frame(&trace);
+        let mut drawn =
+            json!({ "svg": svg, "notes": notes, "frame": frame, "steps_per_mm": scale });
         merge(&mut drawn, facts_of(&program, &trace, &wrong));
         Ok(drawn)
     }

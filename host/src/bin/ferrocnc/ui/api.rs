@@ -3,7 +3,7 @@
 use super::answer::{Answer, Refusal, answered};
 use crate::config::{self, New};
 use crate::describe::Description;
-use crate::{discover, doctor, job, machine};
+use crate::{discover, doctor, job, key, machine, set};
 use axum::Json;
 use axum::extract::Query;
 use axum::http::header::CONTENT_TYPE;
@@ -49,6 +49,24 @@ pub(super) async fn describe(Query(at): Query<At>) -> Answer {
     Ok(Json(described.to_json()))
 }
 
+/// `ferrocnc set`.
+pub(super) async fn board_set(Json(wanted): Json<set::Wanted>) -> Answer {
+    let told = answered(move || wanted.take()).await?;
+    Ok(Json(json!({ "text": told.text, "done": told.json })))
+}
+
+/// `ferrocnc key show`.
+pub(super) async fn key_show(Query(at): Query<At>) -> Answer {
+    let told = answered(move || key::show(&at.board)).await?;
+    Ok(Json(json!({ "text": told.text, "done": told.json })))
+}
+
+/// `ferrocnc key new`, `set` and `clear`.
+pub(super) async fn key_order(Json(wanted): Json<key::Wanted>) -> Answer {
+    let told = answered(move || wanted.take()).await?;
+    Ok(Json(json!({ "text": told.text, "done": told.json })))
+}
+
 /// What `doctor` looks at.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -68,6 +86,17 @@ pub(super) async fn doctor(Query(patient): Query<Patient>) -> Answer {
     })
     .await?;
     Ok(Json(report.to_json()))
+}
+
+/// What `ferrocnc doctor --fix` and `--undo` would do.
+pub(super) async fn doctor_repairs() -> Answer {
+    Ok(Json(answered(|| Ok(doctor::repairs())).await?))
+}
+
+/// One of these.
+pub(super) async fn doctor_repair(Json(shown): Json<doctor::Shown>) -> Answer {
+    answered(move || shown.take()).await?;
+    Ok(Json(json!({})))
 }
 
 /// What `config new --platform` takes.
@@ -97,6 +126,21 @@ pub(super) struct Text {
 pub(super) async fn config_check(Json(text): Json<Text>) -> Answer {
     let verdict = answered(move || Ok(config::check_text(&text.name, &text.toml))).await?;
     Ok(Json(verdict))
+}
+
+/// A board file that is only on the page, and a board.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TextAndBoard {
+    name: String,
+    toml: String,
+    board: String,
+}
+
+/// `ferrocnc config diff`.
+pub(super) async fn config_diff(Json(both): Json<TextAndBoard>) -> Answer {
+    let found = answered(move || config::differences(&both.name, &both.toml, &both.board));
+    Ok(Json(found.await?))
 }
 
 /// `ferrocnc config pinout`.

@@ -27,17 +27,25 @@ const FILES: &[(&str, &str, &str)] = files![
     "answers.js": JS,
     "parts.js": JS,
     "boards.js": JS,
+    "settings.js": JS,
+    "keys.js": JS,
+    "update.js": JS,
     "dashboard.js": JS,
     "configurator.js": JS,
     "card.js": JS,
+    "moves.js": JS,
+    "plots.js": JS,
     "doctor.js": JS,
     "bench.js": JS,
     "machine.js": JS,
     "jobs.js": JS,
     "files.js": JS,
     "vendor/preact-htm.js": JS,
+    "vendor/uplot.js": JS,
+    "vendor/uplot.css": CSS,
     "vendor/LICENSE-htm": PLAIN,
     "vendor/LICENSE-preact": PLAIN,
+    "vendor/LICENSE-uplot": PLAIN,
 ];
 
 /// The one page.
@@ -89,13 +97,19 @@ mod tests {
     }
 
     #[test]
-    fn the_vendored_module_is_the_one_that_its_readme_names() {
+    fn the_vendored_files_are_those_that_their_readme_names() {
         use sha2::{Digest, Sha256};
-        let sum: String = Sha256::digest(text("vendor/preact-htm.js"))
-            .iter()
-            .map(|byte| format!("{byte:02x}"))
-            .collect();
         let readme = include_str!("web/vendor/README.md");
-        assert!(readme.contains(&sum), "{sum} is not in vendor/README.md");
+        for name in ["preact-htm.js", "uplot.js", "uplot.css"] {
+            let sum: String = Sha256::digest(text(&format!("vendor/{name}")))
+                .iter()
+                .map(|byte| format!("{byte:02x}"))
+                .collect();
+            let line = readme.lines().find(|line| line.contains(&sum));
+            assert!(
+                line.is_some_and(|line| line.contains(name)),
+                "{sum} of {name} is not in vendor/README.md"
+            );
+        }
     }
 }

@@ -18,6 +18,21 @@ export async function text(command, body) {
   return (await sent(command, {}, post(body))).text();
 }
 
+/** A POST whose answer comes in lines of JSON, while it is worked on. */
+export async function send(command, query, body, line) {
+  const headers = { "Content-Type": "application/octet-stream" };
+  const response = await sent(command, query, { method: "POST", headers, body });
+  const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
+  let text = "";
+  for (;;) {
+    const { value, done } = await reader.read();
+    if (done) return;
+    const lines = (text + value).split("\n");
+    text = lines.pop();
+    for (const it of lines) line(JSON.parse(it));
+  }
+}
+
 function post(body) {
   const headers = { "Content-Type": "application/json" };
   return { method: "POST", headers, body: JSON.stringify(body) };

@@ -1,8 +1,14 @@
-// Boards: `ferrocnc discover` and `ferrocnc describe`.
+// Boards: `ferrocnc discover` and `ferrocnc describe`, and what changes one of them.
 
-import { html, useState } from "./vendor/preact-htm.js";
+import { html, useRef, useState } from "./vendor/preact-htm.js";
 import { ask } from "./answers.js";
+import { Keys } from "./keys.js";
 import { Facts, Field, number, Problem, Table, useAnswer, WhichBoard } from "./parts.js";
+import { Settings } from "./settings.js";
+import { Update } from "./update.js";
+
+/** After a board was told to restart. */
+const RESTART_MS = 500;
 
 const CLASSES = ["stepgen", "encoder", "pwm", "input", "output"];
 
@@ -12,7 +18,7 @@ export function Boards({ board }) {
     <section aria-labelledby="one-board">
       <h2 id="one-board">One board</h2>
       <${WhichBoard} page="boards" board=${board} />
-      ${board && html`<${Describe} board=${board} />`}
+      ${board && html`<${Describe} key=${board} board=${board} />`}
     </section>`;
 }
 
@@ -59,12 +65,25 @@ whether a firewall lets UDP broadcasts in.";
 }
 
 function Describe({ board }) {
-  const { busy, value, error } = useAnswer(() => ask("describe", { board }), board);
-  if (error) return html`<${Problem} error=${error} />`;
-  if (busy || !value) return html`<p role="status">Asking ${board} …</p>`;
+  const [turn, setTurn] = useState(0);
+  const { value: now, error } = useAnswer(() => ask("describe", { board }), `${board} ${turn}`);
+  // What it said last stays while it restarts.
+  const last = useRef();
+  last.current = now ?? last.current;
+  const value = last.current;
+  const again = () => setTimeout(() => setTurn((turn) => turn + 1), RESTART_MS);
+  const problem = error && html`<${Problem} error=${error} />
+    <p><button type="button" onClick=${() => setTurn(turn + 1)}>Ask again</button></p>`;
+  if (!value) return problem ||  html`<p role="status">Asking ${board} …</p>`;
   const { settings, link, flash } = value;
   const rows = (kind) => value[kind].map(({ name, pins }, n) => [n, name, pins]);
   return html`
+    ${problem}
+    ${settings && html`<${Settings} board=${board}
+      settings=${settings} again=${again} />`}
+    <${Keys} board=${board} again=${again} />
+    <${Update} board=${board} again=${again}
+      running=${`${value.running}, build ${value.build_id}; at power-up ${value.selected ?? "golden"}`} />
     <${Facts} facts=${[
       ["Board", value.board],
       ["Configuration", value.configuration],

@@ -6,7 +6,8 @@ import { html, useRef, useState } from "./vendor/preact-htm.js";
 import { ask, tell, text } from "./answers.js";
 import { Card, spoken } from "./card.js";
 import { download, lineOf, show } from "./files.js";
-import { Field, Problem, useAnswer, useStill } from "./parts.js";
+import { exchanged, Move, named } from "./moves.js";
+import { Field, Problem, Table, useAnswer, useStill } from "./parts.js";
 
 const COUNTS = ["stepgens", "encoders", "pwms", "inputs", "outputs"];
 /** The card that the README names first. */
@@ -121,8 +122,12 @@ function Editor({ file, put }) {
   }, setError);
   const choose = (pin) => {
     setPin(pin);
-    const at = toml.indexOf(`"${pin.same_as ?? pin.pin}"`);
-    if (at >= 0) show(area.current, at, (pin.same_as ?? pin.pin).length + 2);
+    const at = toml.indexOf(`"${named(pin)}"`);
+    if (at >= 0) show(area.current, at, named(pin).length + 2);
+  };
+  const move = (from, to) => {
+    put({ toml: exchanged(toml, from, to), saved: false });
+    setPin(undefined);
   };
   const leave = async (ending, kind, making) => {
     try {
@@ -135,7 +140,8 @@ function Editor({ file, put }) {
   return html`<div class="editor">
     <section aria-label="The card">
       ${drawing && html`<h2>${drawing.title}</h2><p>${drawing.facts}</p>
-        <${Card} drawing=${drawing} old=${verdict && !verdict.ok} chosen=${pin} choose=${choose} />`}
+        <${Card} drawing=${drawing} old=${verdict && !verdict.ok} chosen=${pin} choose=${choose} move=${move} />`}
+      <${Diff} name=${name} toml=${toml} isGood=${Boolean(verdict?.ok)} />
     </section>
     <section aria-label="The board file">
       <div class="row">
@@ -144,14 +150,47 @@ function Editor({ file, put }) {
         <button disabled=${!verdict?.ok}
           onClick=${() => leave("svg", "image/svg+xml", () => text("config/svg", { name, toml }))}>
           Download SVG</button>
+        <button disabled=${!verdict?.ok} onClick=${() => print()}>Print</button>
       </div>
       <${Problem} error=${error} />
       <${Verdict} verdict=${verdict} goto=${(line) => show(area.current, ...lineOf(toml, line))} />
-      <p role="status" class="chosen">${pin ? spoken(pin) : "Point at a pin to find its line."}</p>
+      <p role="status" class="chosen">${pin ? spoken(pin) : "Point at a pin to find its line, drag it to move what is on it."}</p>
+      ${drawing && html`<${Move} key=${pin?.pin} drawing=${drawing} pin=${pin} move=${move} />`}
       <label class="text"><span>TOML</span><textarea ref=${area} spellcheck="false" wrap="off"
         value=${toml} onInput=${(event) => put({ toml: event.target.value, saved: false })} /></label>
     </section>
   </div>`;
+}
+
+/** What the image of a board has other than the file: `ferrocnc config diff`. */
+function Diff({ name, toml, isGood }) {
+  const [board, setBoard] = useState("");
+  const [found, setFound] = useState();
+  const [error, setError] = useState();
+  const compare = async (event) => {
+    event.preventDefault();
+    try {
+      setFound(await tell("config/diff", { name, toml, board: board.trim() }));
+      setError(undefined);
+    } catch (error) {
+      setFound(undefined);
+      setError(error.message);
+    }
+  };
+  const shown = (it) => it ?? "-";
+  return html`<section class="diff" aria-labelledby="diff">
+    <h2 id="diff">Against a board</h2>
+    <form class="row" onSubmit=${compare}>
+      <${Field} label="Board" value=${board} placeholder="192.168.2.50" required
+        onInput=${(event) => setBoard(event.target.value)} />
+      <button disabled=${!isGood}>Compare</button>
+    </form>
+    <${Problem} error=${error} />
+    ${found && html`<p role="status">${found.differences.length ? `${found.differences.length} differences`
+      : `${found.board} has what this file says.`}</p>
+      <${Table} caption="What differs" head=${["", "Board", "File"]}
+        rows=${found.differences.map((it) => [it.what, shown(it.board), shown(it.file)])} />`}
+  </section>`;
 }
 
 /** What `ferrocnc config check` says. */

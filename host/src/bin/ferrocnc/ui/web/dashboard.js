@@ -3,6 +3,7 @@
 import { html, useEffect, useState } from "./vendor/preact-htm.js";
 import { listen } from "./answers.js";
 import { Facts, number, Problem, Table, WhichBoard } from "./parts.js";
+import { Histogram, Lines, MINUTE } from "./plots.js";
 
 /** Lines of the log that are kept on the page. */
 const LINES = 500;
@@ -15,15 +16,26 @@ export function Dashboard({ board }) {
 function State({ board }) {
   const [look, setLook] = useState();
   const [away, setAway] = useState();
-  useEffect(() => listen("watch", { board }, {
-    line: (line) => {
+  const [past, setPast] = useState([]);
+  useEffect(() => {
+    const keep = (look) => setPast((before) => {
+      const at = performance.now() / 1000;
+      return [...before.filter((it) => it.at > at - MINUTE), { at, ...look }];
+    });
+    const line = (line) => {
       setLook(line);
       setAway(undefined);
-    },
-    away: setAway,
-  }), [board]);
+      keep(line);
+    };
+    const gone = (why) => {
+      setAway(why);
+      // A gap in the lines.
+      keep({});
+    };
+    return listen("watch", { board }, { line, away: gone });
+  }, [board]);
   return html`<${Problem} error=${away} />
-    ${look ? html`<${Look} look=${look} old=${Boolean(away)} />`
+    ${look ? html`<${Look} look=${look} old=${Boolean(away)} /><${Plots} look=${look} past=${past} />`
       : !away && html`<p role="status">Asking ${board} …</p>`}`;
 }
 
@@ -55,6 +67,22 @@ function Look({ look, old }) {
         rows=${look.input.map((it) => [it.name, it.level ? "high" : "low"])} />
     </div>
   </div>`;
+}
+
+/** The last minute, while this page was seen. */
+function Plots({ look, past }) {
+  const names = look.stepgen.map((it) => it.name);
+  return html`<section aria-labelledby="minute">
+    <h2 id="minute">The last minute</h2>
+    <div class="plots">
+      <${Lines} title="Positions, steps" names=${names} past=${past} of=${(it, n) => it.stepgen?.[n]?.position} />
+      <${Lines} title="Velocities, steps/s" names=${names} past=${past} of=${(it, n) => it.stepgen?.[n]?.velocity} />
+      <${Lines} title="Answer time, µs" names=${["answer"]} past=${past} of=${(it) => it.answer_us} />
+      <${Histogram} title="Looks by answer time, µs" times=${past.map((it) => it.answer_us)} />
+    </div>
+    <p>The answer time is that of this page's own look, as a guest. How long LinuxCNC's exchanges take,
+      the pins <code>exchange.time-ns-*</code> say.</p>
+  </section>`;
 }
 
 /** What state it is in; what stopped it, and what to do about it. */

@@ -12,6 +12,8 @@ export function Jobs({ board }) {
   const [sheet, setSheet] = useState(kept);
   const [drawn, setDrawn] = useState();
   const [error, setError] = useState();
+  const [report, setReport] = useState();
+  useEffect(() => setReport(undefined), [board]);
   const put = (change) => {
     kept = { ...kept, ...change };
     setSheet(kept);
@@ -49,10 +51,11 @@ export function Jobs({ board }) {
       ${field("Feed, mm/min", "feed")}
     </div>
     <${Problem} error=${error} />
-    ${drawn && html`<${Drawing} drawn=${drawn} hasMachine=${Boolean(sheet.machine)} />`}
+    ${drawn && html`<${Drawing} drawn=${drawn} report=${report} hasMachine=${Boolean(sheet.machine)} />`}
     <h2>On the board</h2>
     <${WhichBoard} page="jobs" board=${board} />
-    ${board && html`<${OnBoard} key=${board} board=${board} drawn=${drawn} sheet=${wanted(sheet)} />`}
+    ${board && html`<${OnBoard} key=${board} board=${board} drawn=${drawn} sheet=${wanted(sheet)}
+      report=${report} setReport=${setReport} />`}
   </div>`;
 }
 
@@ -62,7 +65,14 @@ function wanted({ file, text, machine, width, height, margin, tolerance, feed })
   return { file, text, machine, page, margin: Number(margin), tolerance: Number(tolerance), feed: Number(feed) };
 }
 
-function Drawing({ drawn, hasMachine }) {
+/** Where the axes are, in mm, if that is known. */
+function penOf(drawn, report) {
+  const scale = drawn?.steps_per_mm;
+  if (!scale || !report?.position_known) return undefined;
+  return report.steps.map((steps, axis) => steps / scale[axis]);
+}
+
+function Drawing({ drawn, report, hasMachine }) {
   const { planned, out_of_bounds: wrong } = drawn;
   const size = drawn.highest_mm.map((high, axis) => number(high - drawn.lowest_mm[axis], 1));
   const picture = `data:image/svg+xml;charset=utf-8,${encodeURIComponent(drawn.svg)}`;
@@ -76,11 +86,21 @@ function Drawing({ drawn, hasMachine }) {
       ["Takes", planned ? `${number(planned.seconds)} s` : !hasMachine && "unknown without the machine's file"],
     ]} />
     ${drawn.notes.map((note) => html`<p role="status">${note}</p>`)}
-    <img class="drawing" src=${picture} alt=${`The path of ${drawn.name}, ${size[0]} by ${size[1]} mm`} />`;
+    <${Watched} drawn=${drawn} picture=${picture} pen=${penOf(drawn, report)}
+      isDown=${Boolean(report?.outputs & 1)} label=${`The path of ${drawn.name}, ${size[0]} by ${size[1]} mm`} />`;
 }
 
-function OnBoard({ board, drawn, sheet }) {
-  const [report, setReport] = useState();
+/** The drawing with the pen over it. */
+function Watched({ drawn, picture, pen, isDown, label }) {
+  const [left, top, wide, tall] = drawn.frame;
+  return html`<svg class="drawing" viewBox=${`${left} ${top} ${wide} ${tall}`} role="img" aria-label=${label}>
+    <image href=${picture} x=${left} y=${top} width=${wide} height=${tall} />
+    ${pen && html`<g class=${`pen ${isDown ? "down" : "up"}`} transform=${`translate(${pen[0]} ${-pen[1]})`}>
+      <circle r=${Math.max(wide, tall) / 100} /></g>`}
+  </svg>`;
+}
+
+function OnBoard({ board, drawn, sheet, report, setReport }) {
   const [away, setAway] = useState();
   const [said, setSaid] = useState();
   const [error, setError] = useState();
@@ -127,6 +147,7 @@ function OnBoard({ board, drawn, sheet }) {
         ["To go", `${number(report.remaining_s, 1)} s`],
         ["Ended last", report.end],
         ["At steps", report.steps.map((it) => number(it)).join(", ")],
+        ["Pen, mm", penOf(drawn, report)?.map((it) => number(it, 2)).join(", ")],
         ["Position", report.position_known ? "known" : "not known: home"],
         ["Machine", report.machine ? "told" : "not told: send with its file"],
       ]} /></div>`}

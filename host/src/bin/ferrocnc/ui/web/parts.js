@@ -1,6 +1,6 @@
 // Parts that several pages have.
 
-import { html, useEffect, useState } from "./vendor/preact-htm.js";
+import { html, useEffect, useRef, useState } from "./vendor/preact-htm.js";
 
 /** After the last key, before a text is checked. */
 const STILL_MS = 200;
@@ -91,4 +91,53 @@ export function useStill(asking, key, take, fail) {
 export function number(value, digits = 0) {
   if (value === null || value === undefined) return "-";
   return value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits });
+}
+
+/**
+ * A button that first shows what will be done: `question` makes it, when it is pressed. Only the
+ * second button, `yes`, does it.
+ */
+export function Asking({ label, title, yes, question, act, ...rest }) {
+  const [open, setOpen] = useState(false);
+  return html`<button type="button" onClick=${() => setOpen(true)} ...${rest}>${label}</button>
+    ${open && html`<${Question} title=${title ?? label} yes=${yes ?? label} act=${act}
+      close=${() => setOpen(false)}>${question()}</${Question}>`}`;
+}
+
+/** Escape and the first button leave everything as it is. */
+function Question({ title, yes, act, close, children }) {
+  const dialog = useRef();
+  useEffect(() => dialog.current.showModal(), []);
+  const done = () => {
+    dialog.current.close();
+    act();
+  };
+  return html`<dialog ref=${dialog} aria-label=${title} onClose=${close}>
+    <h2>${title}</h2>
+    ${children}
+    <p class="row">
+      <button type="button" onClick=${() => dialog.current.close()}>Cancel</button>
+      <button type="button" class="does" onClick=${done}>${yes}</button>
+    </p>
+  </dialog>`;
+}
+
+/** Does one thing at a time; says that it does, what came of it, or why not. */
+export function useDoing() {
+  const [state, setState] = useState({});
+  const run = async (doing) => {
+    setState({ busy: true });
+    try {
+      setState({ said: await doing() });
+    } catch (error) {
+      setState({ error: error.message });
+    }
+  };
+  return [state, run];
+}
+
+/** What came of it. */
+export function Outcome({ state }) {
+  return html`<p role="status" class="said">${state.busy ? "Working …" : state.said}</p>
+    <${Problem} error=${state.error} />`;
 }
