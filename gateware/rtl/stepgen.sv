@@ -285,8 +285,8 @@ module stepgen #(
         if (visit) harvested <= harvested + {{27{delta[4]}}, delta};
     end
 
-    // Clocks up to the one before with a velocity of 0: after 2^18 and a few of them no count of ours
-    // or the drive's is under way, so it does not matter which times it would have met.
+    // Clocks up to the one before with a velocity of 0: after 2^18 and a few of them no count of
+    // ours or the drive's is under way, so it does not matter which times it would have met.
     localparam logic [18:0] REST = 19'h40008;
     logic [18:0] calm = 19'd0;
     wire         still = v[55:24] == 32'd0;
