@@ -82,7 +82,6 @@ use crate::group::Group;
 use crate::hal::checked::Watch;
 use crate::hal::{Catalogue, Level};
 use crate::link::{Flood, LOOKS, Link};
-use crate::settings::Change;
 use export::Pins;
 use state::{Blocks, Condition, Exchange, Membership, Phase, SessionState, Times};
 use std::sync::Arc;
@@ -259,7 +258,7 @@ impl Driver {
                 let settled = self.settled(&wanted);
                 self.send_command(token, settled, period);
                 // Behind the command, so that its answer does not wait for theirs.
-                self.send_settings(&wanted, period);
+                self.send_settings(&wanted);
                 self.ask_for_ways(period_ns);
             }
             Phase::Acquiring { wait: 0, tag } => {
@@ -393,7 +392,8 @@ impl Driver {
                     self.prove(tag, challenge);
                 }
             } else if let [_] = payload {
-                self.received(base);
+                let _ = self.session.disarmed_settings.receipt(base)
+                    || self.session.periods.receipt(base);
             } else if payload.len() == SESSION_WORDS.len()
                 && let Phase::Acquiring { tag, .. } = self.session.phase
                 && base == tag
@@ -404,23 +404,6 @@ impl Driver {
             }
         }
         second_best
-    }
-
-    /// A receipt for settings came.
-    fn received(&mut self, tag: u32) {
-        let session = &mut self.session;
-        if session.disarmed_settings.receipt(tag) || session.periods.receipt(tag) {
-            return;
-        }
-        let Some(change) = session.changes.receipt(tag) else {
-            return;
-        };
-        session.disarmed_settings.changed(change);
-        if let Change::Times(n, times) = change
-            && let Some(stepgen) = self.blocks.stepgens.get_mut(usize::from(n))
-        {
-            stepgen.timed(&times);
-        }
     }
 
     /// An exchange was answered: how long that took is counted.

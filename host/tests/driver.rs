@@ -412,6 +412,23 @@ fn illegal_transitions_and_a_limited_rate_are_those_of_their_channel() {
 }
 
 #[test]
+fn settings_change_while_disarmed_only_but_a_pwm_period_at_any_time() {
+    let mut rig = Rig::armed();
+    rig.hal.set("ferrocnc.0.stepgen.x.steplen", 2000u32);
+    rig.hal.set("ferrocnc.0.pwm.spindle.pwm-freq", 20_000.0);
+    rig.run(30);
+    {
+        let board = rig.board.look();
+        assert_eq!(board.config[&map::CONFIG_STEPGEN], 60);
+        assert_eq!(board.config[&map::CONFIG_PWM], 3_000);
+        assert_eq!(board.refused, 0);
+    }
+    rig.hal.set("ferrocnc.0.enable", false);
+    rig.run(30);
+    assert_eq!(rig.board.look().config[&map::CONFIG_STEPGEN], 120);
+}
+
+#[test]
 fn the_index_restarts_the_encoder_and_clears_its_pin() {
     let mut rig = Rig::armed();
     rig.board.look().knobs.index_at = Some(800);

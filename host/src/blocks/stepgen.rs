@@ -20,8 +20,7 @@
 //! no limit; never negative), `steplen`, `stepspace` (ns, up to 136 us at 60 MHz), `dirsetup`,
 //! `dirhold` (ns, up to 1.09 ms), `step-type` ([`StepType`]: 0 step/dir, 1 up/down, 2 quadrature;
 //! the board file's `type` until HAL sets it), `step-invert`, `dir-invert`, `index-invert`. What
-//! concerns the pins reaches the board while it is disarmed; the four times also while it is armed
-//! and the axis rests.
+//! concerns the pins reaches the board while it is disarmed.
 //!
 //! # The position loop
 //!
@@ -46,7 +45,7 @@ use crate::hal::{ExportError, Exporter, In, Io, Out, Param};
 use motion::Ramp;
 use motion::ramp::VELOCITY_FRACTION;
 use wire::map::{
-    DIR_CLOCKS_MAX, STEP_CLOCKS_MAX, STEP_REST_CLOCKS, STEPGEN_CONFIG_WORDS, STEPGEN_DIR_INVERT,
+    DIR_CLOCKS_MAX, STEP_CLOCKS_MAX, STEPGEN_CONFIG_WORDS, STEPGEN_DIR_INVERT,
     STEPGEN_INDEX_INVERT, STEPGEN_STEP_INVERT, STEPGEN_TYPE_SHIFT, StepType,
 };
 use wire::units::{Accel, Count, Position, Velocity};
@@ -102,8 +101,6 @@ pub struct Stepgen {
     clocks_per_step: f64,
     /// The host had to clamp.
     clamped: bool,
-    /// Clocks in which every answer said that it stood, and no command moved it.
-    rested: u64,
 }
 
 /// What an answer says about one stepgen.
@@ -169,48 +166,24 @@ impl Stepgen {
             before: Target::default(),
             clocks_per_step: 1.0,
             clamped: false,
-            rested: 0,
         })
-    }
-
-    /// steplen, stepspace, dirsetup and dirhold, in clocks.
-    pub fn times(&self, clock_hz: f64) -> [u32; 4] {
-        let time = |nanos: &Checked<u32>, least, most| {
-            nanos_to_register(nanos.get(), clock_hz, least, most)
-        };
-        [
-            time(&self.steplen, 1, STEP_CLOCKS_MAX),
-            time(&self.stepspace, 1, STEP_CLOCKS_MAX),
-            time(&self.dirsetup, 0, DIR_CLOCKS_MAX),
-            time(&self.dirhold, 0, DIR_CLOCKS_MAX),
-        ]
-    }
-
-    /// The board has these times.
-    pub fn timed(&mut self, times: &[u32; 4]) {
-        let [steplen, stepspace, _, _] = *times;
-        self.clocks_per_step = f64::from(steplen) + f64::from(stepspace);
-    }
-
-    /// Has it rested for so long that its times may change?
-    pub fn rests(&self, period: Period) -> bool {
-        // Three periods more: the first answer tells of a moment only, a command may be applied
-        // after its answer was made, and periods of the thread are not alike.
-        self.rested > STEP_REST_CLOCKS + 3 * period.clocks.0
     }
 
     /// This channel's configuration block.
     pub fn configure(&mut self, clock_hz: f64) -> [u32; STEPGEN_CONFIG_WORDS as usize] {
-        let times = self.times(clock_hz);
-        self.timed(&times);
-        let [steplen, stepspace, dirsetup, dirhold] = times;
+        let time = |nanos: &Checked<u32>, least, most| {
+            nanos_to_register(nanos.get(), clock_hz, least, most)
+        };
+        let steplen = time(&self.steplen, 1, STEP_CLOCKS_MAX);
+        let stepspace = time(&self.stepspace, 1, STEP_CLOCKS_MAX);
+        self.clocks_per_step = f64::from(steplen) + f64::from(stepspace);
         let bit = |parameter: &Param<bool>, bit: u32| u32::from(parameter.get()) * bit;
         let kind = StepType::from_code(self.step_type.get()).unwrap_or_default();
         [
             steplen,
             stepspace,
-            dirsetup,
-            dirhold,
+            time(&self.dirsetup, 0, DIR_CLOCKS_MAX),
+            time(&self.dirhold, 0, DIR_CLOCKS_MAX),
             self.stop_accel(clock_hz).0,
             bit(&self.step_invert, STEPGEN_STEP_INVERT)
                 | bit(&self.dir_invert, STEPGEN_DIR_INVERT)
@@ -225,10 +198,6 @@ impl Stepgen {
             position, velocity, ..
         } = sample;
         self.track.update(position);
-        self.rested = match velocity.0 {
-            0 => self.rested.saturating_add(period.clocks.0),
-            _ => 0,
-        };
         self.follow_origin(&sample.latch_sample);
         let predict = |from: Position, velocity, target: Target, clocks| {
             Ramp::predict(from, velocity, target.velocity, target.accel, clocks)
@@ -307,14 +276,6 @@ impl Stepgen {
 
     /// The target of the coming period. Not `live`: rest, for any values of the pins.
     pub fn command(&mut self, live: bool, feedback: Feedback, period: Period) -> Target {
-        let target = self.decide(live, feedback, period);
-        if target.velocity.0 != 0 {
-            self.rested = 0;
-        }
-        target
-    }
-
-    fn decide(&mut self, live: bool, feedback: Feedback, period: Period) -> Target {
         let scale = self.position_scale.get();
         let cmd = self.position_cmd.now();
         let feed_forward = self.advance_of(cmd) / period.seconds * scale;

@@ -3,7 +3,7 @@
 //! | name | | |
 //! |---|---|---|
 //! | `watchdog.has-bitten` | bit out | latched on the board; only a new start clears it |
-//! | `watchdog.timeout-ns` | u32 param | without an accepted command for this long it bites; lowered at once, raised while disarmed |
+//! | `watchdog.timeout-ns` | u32 param | without an accepted command for this long it bites; taken over while disarmed |
 //! | `watchdog.grace-ns` | u32 param | a soft stop may take this long before the outputs fall regardless |
 //! | `watchdog.margin-ns` | u32 out | what was left when the last command arrived |
 //! | `watchdog.margin-ns-min` | u32 out | the least of it since the machine was armed |

@@ -47,7 +47,7 @@ impl Driver {
 
     /// Sends settings the board lacks. A datagram that was not sent gets no answer, so it is due
     /// again. They wait while the board answers nothing at all: that is silence, and no refusal.
-    pub(super) fn send_settings(&mut self, wanted: &Wanted, period: Period) {
+    pub(super) fn send_settings(&mut self, wanted: &Wanted) {
         if self.exchange.missing > 0 {
             return;
         }
@@ -61,7 +61,7 @@ impl Driver {
             let _ = self.link.send(request);
         }
         let Some(disarmed) = &wanted.disarmed else {
-            return self.send_change(period);
+            return;
         };
         let tag = self.next_tag();
         if let Some(request) =
@@ -87,31 +87,6 @@ impl Driver {
                     self.address.text
                 ),
             );
-        }
-    }
-
-    /// Sends the next setting that may change in a machine that runs. Behind the command of the
-    /// period: an axis that it moves keeps its times.
-    fn send_change(&mut self, period: Period) {
-        if !self.condition.live {
-            return;
-        }
-        let tag = self.next_tag();
-        let Some(has) = self.session.disarmed_settings.arrived() else {
-            return;
-        };
-        let mut wanted = *has;
-        wanted.watchdog[0] = self.blocks.watchdog.configure(period.clock_hz)[0];
-        let mut rests = 0;
-        for (n, stepgen) in self.blocks.stepgens.iter().enumerate() {
-            let times = stepgen.times(period.clock_hz);
-            wanted.stepgen[n][..times.len()].copy_from_slice(&times);
-            rests |= u16::from(stepgen.rests(period)) << n;
-        }
-        let mut words = [0; MAX_WORDS];
-        let changes = &mut self.session.changes;
-        if let Some(request) = changes.due(has, &wanted, rests, tag, &mut words) {
-            let _ = self.link.send(request);
         }
     }
 

@@ -14,7 +14,7 @@ use crate::blocks::ways::Ways;
 use crate::clock::{BoardClock, Timebase};
 use crate::group::Group;
 use crate::keys::Key;
-use crate::settings::{Changes, Disarmed, Periods, Sync};
+use crate::settings::{Disarmed, Periods, Sync};
 use std::sync::Arc;
 use wire::describe::Describe;
 use wire::exchange::Command;
@@ -79,7 +79,6 @@ pub(super) struct SessionState {
     pub(super) arm: ArmRequest,
     pub(super) disarmed_settings: Sync<Disarmed>,
     pub(super) periods: Sync<Periods>,
-    pub(super) changes: Changes,
     /// An answer came in this session: the board has seen our `enable-request` low.
     pub(super) answered: bool,
     /// The next answer is the first of this session.
@@ -99,7 +98,6 @@ impl SessionState {
             arm: ArmRequest::default(),
             disarmed_settings: Sync::default(),
             periods: Sync::default(),
-            changes: Changes::default(),
             answered: false,
             first_answer: false,
         }
@@ -110,7 +108,6 @@ impl SessionState {
         self.phase = Phase::Online { token };
         self.disarmed_settings.forget();
         self.periods.forget();
-        self.changes.forget();
         self.arm.forget();
         self.first_answer = true;
         self.answered = false;

@@ -77,7 +77,9 @@ impl Mind {
             }
             map::SESSION_RELEASE if owner => Ok(()),
             map::CONFIG..map::COMMAND if owner => {
-                if self.gate && !self.live_safe(address, word) {
+                let live_safe = (map::CONFIG_PWM..map::CONFIG_ENCODER).contains(&address)
+                    && address.is_multiple_of(map::CONFIG_STRIDE);
+                if self.gate && !live_safe {
                     Err(Refusal::Armed)
                 } else {
                     Ok(())
@@ -93,24 +95,6 @@ impl Mind {
             },
             map::SESSION_RELEASE | map::CONFIG..map::COMMAND => Err(Refusal::NotOwner),
             _ => Err(Refusal::ReadOnly),
-        }
-    }
-
-    /// The firmware's rule for a setting of an armed machine.
-    fn live_safe(&self, address: u32, word: u32) -> bool {
-        let at = |window: u32| (address - window) / map::CONFIG_STRIDE;
-        match address {
-            map::CONFIG_STEPGEN..map::CONFIG_PWM => {
-                let n = at(map::CONFIG_STEPGEN) as usize;
-                let time = address % map::CONFIG_STRIDE <= 4 * map::StepgenConfig::Dirhold as u32;
-                let told = self.command.stepgen[n].0 != Velocity(0)
-                    && self.command.stepgen_enable >> n & 1 != 0;
-                let moves = self.axes[n].ramp.velocity() != Velocity(0);
-                time && !told && !moves
-            }
-            map::CONFIG_PWM..map::CONFIG_ENCODER => address.is_multiple_of(map::CONFIG_STRIDE),
-            map::CONFIG_BOARD => word <= self.setting(address),
-            _ => false,
         }
     }
 
