@@ -96,45 +96,17 @@ pub fn setting_at(address: u32, channels: Channels) -> Option<Setting> {
     Some(setting)
 }
 
-/// When a setting may change while the machine is armed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Live {
-    /// At any time: a PWM's period takes effect at the end of a period and moves nothing.
-    Always,
-    /// To less than it is: a watchdog that bites sooner. It counts from the next command on.
-    Less,
-    /// While this step generator rests: no pulse is under way that would meet another time. The
-    /// host has waited for [`wire::map::STEP_REST_CLOCKS`].
-    AtRest(u8),
-    /// Never: it changes what a pulse or a level means.
-    Never,
-}
-
-/// When this setting may change while the machine is armed.
-pub const fn live(setting: Setting) -> Live {
+/// May this setting change while the machine is armed? A PWM's period takes effect at the end of
+/// a period and moves nothing; everything else changes what a pulse or a level means.
+pub const fn live_safe(setting: Setting) -> bool {
     match setting {
-        Setting::PwmPeriod(_) => Live::Always,
-        Setting::Board(BoardConfig::WatchdogTimeout) => Live::Less,
-        Setting::Stepgen(
-            n,
-            StepgenConfig::Steplen
-            | StepgenConfig::Stepspace
-            | StepgenConfig::Dirsetup
-            | StepgenConfig::Dirhold,
-        ) => Live::AtRest(n),
-        Setting::Stepgen(_, StepgenConfig::StopAccel | StepgenConfig::Mode)
+        Setting::PwmPeriod(_) => true,
+        Setting::Stepgen(_, _)
         | Setting::PwmMode(_)
         | Setting::EncoderMode(_)
         | Setting::EncoderFilter(_)
         | Setting::Debounce(_)
-        | Setting::Board(
-            BoardConfig::WatchdogGrace
-            | BoardConfig::GpioSafe
-            | BoardConfig::GpioInvert
-            | BoardConfig::Probe
-            | BoardConfig::GpioSafeHigh
-            | BoardConfig::GpioInvertHigh,
-        ) => Live::Never,
+        | Setting::Board(_) => false,
     }
 }
 
@@ -348,29 +320,12 @@ mod tests {
     }
 
     #[test]
-    fn under_way_pwm_periods_change_timeouts_shrink_and_times_change_at_rest() {
-        let live = |allowed: Live| -> Vec<_> {
-            (map::CONFIG..map::CONFIG + map::CONFIG_LEN)
-                .step_by(4)
-                .filter_map(|address| setting_at(address, SIX))
-                .filter(|setting| live(*setting) == allowed)
-                .collect()
-        };
-        let periods: Vec<_> = (0..6).map(Setting::PwmPeriod).collect();
-        assert_eq!(live(Live::Always), periods);
-        let timeout = Setting::Board(BoardConfig::WatchdogTimeout);
-        assert_eq!(live(Live::Less), [timeout]);
-        for n in 0..6 {
-            let times = [
-                StepgenConfig::Steplen,
-                StepgenConfig::Stepspace,
-                StepgenConfig::Dirsetup,
-                StepgenConfig::Dirhold,
-            ];
-            assert_eq!(
-                live(Live::AtRest(n)),
-                times.map(|time| Setting::Stepgen(n, time))
-            );
-        }
+    fn only_the_pwm_period_may_change_under_way() {
+        let live: Vec<_> = (map::CONFIG..map::CONFIG + map::CONFIG_LEN)
+            .step_by(4)
+            .filter_map(|address| setting_at(address, SIX))
+            .filter(|setting| live_safe(*setting))
+            .collect();
+        assert_eq!(live, (0..6).map(Setting::PwmPeriod).collect::<Vec<_>>());
     }
 }

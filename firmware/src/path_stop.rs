@@ -118,13 +118,6 @@ impl PathStop {
         }
     }
 
-    /// A setting was changed, perhaps while the machine is armed.
-    pub(crate) fn follow(&mut self, which: Setting, value: u32) {
-        if which == Setting::Board(BoardConfig::WatchdogTimeout) {
-            self.timeout = value;
-        }
-    }
-
     /// A command with these flags, never 0, was executed; [`PathStop::hold`] has to run for it
     /// later.
     #[inline(always)]

@@ -576,7 +576,6 @@ impl Server {
             self.boot.id = board.rename_boot(arrival);
         }
         let mut judge = Judge {
-            board,
             ident: &self.ident,
             boot_id: self.boot.id,
             session: self.session,
@@ -638,7 +637,6 @@ impl Server {
                 _ => {
                     if let Some(setting) = config::setting_at(address, self.ident.channels) {
                         board.set(setting, value);
-                        self.path_stop.follow(setting, value);
                     }
                 }
             }

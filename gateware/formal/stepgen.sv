@@ -1,6 +1,6 @@
-// The environments of a stepgen for gateware/formal/run.sh: any command in any clock, any settings,
-// whose times may change after a rest, and a wide counter that visits at least every 16 clocks. The
-// properties are in rtl/stepgen.sv itself.
+// The environments of a stepgen for gateware/formal/run.sh: any command in any clock, any constant
+// settings, and a wide counter that visits at least every 16 clocks. The properties are in
+// rtl/stepgen.sv itself.
 `default_nettype none
 module stepgen_environment (
     input wire       clk,
@@ -9,24 +9,10 @@ module stepgen_environment (
     input wire [31:0] velocity, accel,
     output wire      waits
 );
+    (* anyconst *) logic [12:0] steplen, stepspace;
+    (* anyconst *) logic [15:0] dirsetup, dirhold;
     (* anyconst *) logic [31:0] stop_accel;
     (* anyconst *) logic        step_invert, dir_invert;
-
-    // The four times: any, and any others in a clock in which nothing has moved for long. The host
-    // waits as long (`STEP_REST_CLOCKS` in wire/src/map.rs).
-    (* anyconst *) logic [57:0] first;
-    (* anyseq *)   logic [57:0] others;
-    (* anyseq *)   logic        change;
-    logic        changed = 1'b0;
-    logic [57:0] last    = 58'd0;
-    wire         rested;
-    wire  [57:0] times = change & rested ? others : changed ? last : first;
-    wire  [12:0] steplen = times[12:0], stepspace = times[25:13];
-    wire  [15:0] dirsetup = times[41:26], dirhold = times[57:42];
-    always_ff @(posedge clk) begin
-        changed <= 1'b1;
-        last    <= times;
-    end
 
     stepgen #(.TIMED(1'b1)) core (.stopped(), .delta(), .fraction(), .velocity_now(), .step(), .dir(), .*);
 endmodule

@@ -1,14 +1,13 @@
 // The guarantees of the watchdog, seen from outside: arbitrary pins, tokens and keys in every
-// clock, and times that may change in every clock. A change counts from the next heartbeat, or the
-// next soft stop, on.
+// clock, arbitrary but constant times.
 `default_nettype none
 module watchdog_promises (
     input wire        clk,
     input wire        rst, ext_reset, estop, token_we, feed, arm, soft_stop, shut, clear, all_stopped,
     input wire [31:0] token
 );
-    (* anyseq *) logic [31:0] timeout;
-    (* anyseq *) logic [31:0] grace;
+    (* anyconst *) logic [31:0] timeout;
+    (* anyconst *) logic [31:0] grace;
     logic        gate, stop, bitten, reset_latched, estop_latched, armed, cleared;
     logic  [3:0] last_close;
     logic [31:0] remaining, last_token, bites;
@@ -32,14 +31,11 @@ module watchdog_promises (
     // and an arming. `silence` counts the clocks without one.
     logic [31:0] heard = 32'd0;
     logic [32:0] silence = 33'd0, stopping = 33'd0;
-    logic [31:0] most = 32'd0, longest = 32'd0;  // timeout at the last heartbeat, grace when the stop began
     wire         heartbeat = (token_we & (token != heard)) | feed;
     always_ff @(posedge clk) begin
         if (token_we) heard <= token;
         silence  <= (heartbeat | ~armed) ? 33'd0 : silence + 33'd1;
         stopping <= stop ? stopping + 33'd1 : 33'd0;
-        if (heartbeat | ~armed) most <= timeout;
-        if (~stop) longest <= grace;
     end
 
     always_ff @(posedge clk) begin
@@ -51,15 +47,15 @@ module watchdog_promises (
         assert (heard == last_token);
         assert (~armed | ~(bitten | reset_latched | estop_latched));
         assert (~stop | ~(reset_latched | estop_latched));
-        assert (~armed | {1'b0, remaining} + silence == {1'b0, most});
-        assert (~stop | {1'b0, remaining} + stopping == {1'b0, longest});
+        assert (~armed | {1'b0, remaining} + silence == {1'b0, timeout});
+        assert (~stop | {1'b0, remaining} + stopping == {1'b0, grace});
 `endif
 
 `ifdef PROVE_bitten_stays_bitten_until_cleared_behind_a_closed_gate
         if (started & was_bitten & ~bitten) assert (was_rst | (was_clear & ~was_gate & ~was_armed & ~was_stop & ~was_pins));
 `endif
 `ifdef PROVE_a_repeated_token_is_no_heartbeat
-        assert (~armed | silence <= {1'b0, most});
+        assert (~armed | silence <= {1'b0, timeout});
 `endif
 `ifdef PROVE_silence_bites
         if (started & was_armed & was_remaining == 32'd0 & silence != 33'd0 & ~was_rst) assert (bitten);
@@ -67,7 +63,7 @@ module watchdog_promises (
         if (started & ~was_bitten & bitten) assert (was_armed & bites == was_bites + 32'd1);
 `endif
 `ifdef PROVE_the_grace_ends
-        assert (~stop | stopping <= {1'b0, longest});
+        assert (~stop | stopping <= {1'b0, grace});
         if (started & was_stop & was_all_stopped) assert (~gate);
 `endif
 `ifdef PROVE_the_gate_closes_in_the_clock_of_a_pin_and_stays_closed

@@ -62,7 +62,7 @@ module stepgen #(
     input  wire  [31:0] velocity,     // signed
     input  wire  [31:0] accel,
 
-    // settings, quasi-static; the times change only after a rest
+    // settings, quasi-static
     input  wire  [12:0] steplen,
     input  wire  [12:0] stepspace,
     input  wire  [15:0] dirsetup,
@@ -81,9 +81,6 @@ module stepgen #(
     output wire  [31:0] velocity_now, // signed, integer part
     // 1: a pulse is due in this clock and has to wait; independent of `advance`
     output wire         waits,
-`ifdef FORMAL
-    output wire         rested,       // the times may change in this clock
-`endif
 
     // the pins, registered
     output logic        step,
@@ -285,14 +282,6 @@ module stepgen #(
         if (visit) harvested <= harvested + {{27{delta[4]}}, delta};
     end
 
-    // Clocks up to the one before with a velocity of 0: after 2^18 and a few of them no count of
-    // ours or the drive's is under way, so it does not matter which times it would have met.
-    localparam logic [18:0] REST = 19'h40008;
-    logic [18:0] calm = 19'd0;
-    wire         still = v[55:24] == 32'd0;
-    assign rested = still & calm == REST;
-    always_ff @(posedge clk) calm <= ~still ? 19'd0 : calm == REST ? calm : calm + 19'd1;
-
     // The ramp's input and its response one clock later.
     wire         halting = stop | ~gate;
     logic        resting = 1'b1;
@@ -420,11 +409,6 @@ module stepgen #(
         if (~pulse & last_backwards != reverse) assert (low >= hold_least + (dir_over ? setup_least : {2'd0, dir_clock} - 18'd1));
         if (quadrature & pulse) assert (high == since_edge_now);
         if (quadrature & ~pulse) assert (since_edge_now >= high_least & (&since_edge_now | since_edge_now - high_least >= low));
-        assert (calm <= REST);
-        if (pulse) assert (calm <= {1'b0, high});
-        if (~pulse) assert (calm <= {1'b0, low} + 19'd8191);
-        assert (&since_dir_now | calm <= {1'b0, since_dir_now});
-        assert (&since_edge_now | calm <= {1'b0, since_edge_now});
         assert (unvisited != 5'd0 & unvisited <= 5'd16);
         assert ($signed({delta, 1'b0}) <= $signed({1'b0, unvisited}) + $signed({5'd0, pulse}));
         assert ($signed({delta, 1'b0}) >= -$signed({1'b0, unvisited}) - $signed({5'd0, pulse}));

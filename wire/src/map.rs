@@ -96,10 +96,6 @@ pub const WATCHDOG_SECONDS_MAX: u64 = 10;
 pub const STEP_CLOCKS_MAX: u32 = stepgen::STEPLEN_CLOCKS;
 /// Longest dirsetup and dirhold: 16 bits, 1.09 ms at 60 MHz.
 pub const DIR_CLOCKS_MAX: u32 = stepgen::DIRSETUP_CLOCKS;
-/// While the machine is armed, the four times of a step generator may change once its velocity has
-/// been 0 for this many clocks, 4.4 ms at 60 MHz: then no count of a time is under way, in the core
-/// or in a drive (`rested` in `gateware/rtl/stepgen.sv`, with the proofs).
-pub const STEP_REST_CLOCKS: u64 = 0x4_0008;
 
 /// Stepgen mode: STEP is active low.
 pub const STEPGEN_STEP_INVERT: u32 = stepgen::MODE_STEP_INVERT;

@@ -2,8 +2,7 @@
 //! anything is executed.
 
 use crate::auth::{Auth, Words};
-use crate::config::Live;
-use crate::cores::{Board, Ident, Setting};
+use crate::cores::Ident;
 use crate::flash::Flash;
 use crate::safety::{Event, Safety};
 use crate::session::{Peer, Session};
@@ -11,13 +10,9 @@ use crate::{config, service};
 use wire::auth::Purpose;
 use wire::describe::JobsState;
 use wire::etherbone::Record;
-use wire::exchange::{COMMAND_STEPGEN, STATUS_STEPGEN};
-use wire::regmap::{self, command, segments, status};
-use wire::{Refusal, State, map};
+use wire::{Refusal, map};
 
 const WINDOW: u32 = 0x1000;
-/// The segments core's status: while it is not idle, it moves axes.
-const SEGMENTS_STATUS: u32 = regmap::address(segments::BASE, segments::STATUS);
 pub(super) const STATUS_WORDS_END: u32 = map::STATUS + 0x400;
 pub(super) const COMMAND_END: u32 = map::COMMAND + WINDOW;
 pub(super) const COUNTERS_END: u32 = map::COUNTERS + WINDOW;
@@ -31,9 +26,7 @@ pub(super) const SESSION_END: u32 = map::SESSION + map::SESSION_LEN;
 
 /// The session and the state as they would be after the writes of a datagram that were checked so
 /// far.
-pub(super) struct Judge<'s, B> {
-    /// Only looked at.
-    pub(super) board: &'s mut B,
+pub(super) struct Judge<'s> {
     pub(super) ident: &'s Ident,
     pub(super) boot_id: u32,
     pub(super) session: Session,
@@ -48,7 +41,7 @@ pub(super) struct Judge<'s, B> {
     pub(super) counted: bool,
 }
 
-impl<B: Board> Judge<'_, B> {
+impl Judge<'_> {
     /// Judges a write; what it means for the session and the state counts from here on.
     pub(super) fn write(&mut self, address: u32, value: u32) -> Result<(), Refusal> {
         match address {
@@ -99,7 +92,9 @@ impl<B: Board> Judge<'_, B> {
                 let setting =
                     config::setting_at(address, self.ident.channels).ok_or(Refusal::Unmapped)?;
                 self.owner()?;
-                self.may_change(setting, value)?;
+                if !config::live_safe(setting) {
+                    self.at_rest()?;
+                }
                 config::check(setting, value, self.ident.channels, self.ident.clock_hz)
             }
             // The owner's write, with the right number: the gateware itself judges the values.
@@ -139,34 +134,6 @@ impl<B: Board> Judge<'_, B> {
         } else {
             Ok(())
         }
-    }
-
-    /// While the machine is armed, a setting changes only where that is safe.
-    fn may_change(&mut self, setting: Setting, value: u32) -> Result<(), Refusal> {
-        let armed = self.safety.state() == State::Armed;
-        let safe = match config::live(setting) {
-            Live::Always => true,
-            Live::Less => armed && value <= self.board.setting(setting),
-            Live::AtRest(n) => armed && self.rests(n.into()),
-            Live::Never => false,
-        };
-        if safe { Ok(()) } else { self.at_rest() }
-    }
-
-    /// Did this step generator stand when it was sampled last, and does the command that was staged
-    /// last leave it there? Nothing else can move it before the datagram has been executed: the
-    /// pass was taken back.
-    fn rests(&mut self, n: usize) -> bool {
-        let target = command::STEPGEN0_VELOCITY + n * COMMAND_STEPGEN;
-        let enabled = self.board.staged(command::ENABLES) >> n & 1 != 0;
-        let plays = self.ident.plays_segments()
-            && self.board.csr_read(SEGMENTS_STATUS) & segments::STATUS_STATE != 0;
-        !plays
-            && (!enabled || self.board.staged(target) == 0)
-            && self
-                .board
-                .latched(status::STEPGEN0_VELOCITY + n * STATUS_STEPGEN)
-                == 0
     }
 
     fn at_rest(&self) -> Result<(), Refusal> {

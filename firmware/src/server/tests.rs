@@ -7,7 +7,7 @@ use wire::describe::Channels;
 use wire::etherbone::HEADER;
 use wire::exchange::{Command, Latch, PWM_ENABLE, STATUS_MAX, Status};
 use wire::map::{BoardConfig, StepgenConfig};
-use wire::regmap::{self, command, status, timebase};
+use wire::regmap::{command, timebase};
 use wire::units::{Accel, Clocks, Count, Position, Velocity};
 use wire::{FaultReason, State};
 
