@@ -183,7 +183,8 @@ pub fn update(
     options: &Options,
     tell: &dyn Fn(Event),
 ) -> Result<Report, UpdateError> {
-    let (overview, layout) = look(&mut client, &For::of(image), options.force_platform)?;
+    fits_board(&mut client, &For::of(image), options.force_platform)?;
+    let (overview, layout) = survey(&mut client)?;
     let slot = match (options.slot, overview.selected) {
         (Some(slot), Some(selected)) if slot == selected => {
             return Err(UpdateError::Selected(slot));
@@ -235,24 +236,18 @@ pub fn back(
     options: &Options,
     tell: &dyn Fn(Event),
 ) -> Result<(Report, Meta), UpdateError> {
-    let overview = Overview::read(&mut client)?;
-    let layout = overview.layout.ok_or(FlashError::NoFlash {
-        jedec: overview.jedec,
-    })?;
+    let (overview, layout) = survey(&mut client)?;
     let slot = overview.selected.ok_or(UpdateError::NoSlot)?.other();
     let area = layout.slot(slot);
     let mut flasher = Flasher::new(client, options.patience, |word| tell(Event::Word(word)));
     flasher.may_write()?;
     let page = flasher.read(area.meta(), META_BYTES as u32)?;
     let meta = Meta::from_page(&page, area).ok_or(UpdateError::Empty(slot))?;
-    look(
-        flasher.client(),
-        &For {
-            idcode: meta.idcode,
-            platform: meta.platform.text(),
-        },
-        options.force_platform,
-    )?;
+    let image = For {
+        idcode: meta.idcode,
+        platform: meta.platform.text(),
+    };
+    fits_board(flasher.client(), &image, options.force_platform)?;
     tell(Event::Step("checking and selecting", 0.0));
     flasher.select(slot)?;
     let after = Overview::read(flasher.client())?;
@@ -286,12 +281,21 @@ impl<'i> For<'i> {
     }
 }
 
-/// What the board has, if the image is for it.
-fn look(
+/// What is in the board's flash, and where.
+fn survey(client: &mut Client) -> Result<(Overview, Layout), UpdateError> {
+    let overview = Overview::read(client)?;
+    let layout = overview.layout.ok_or(FlashError::NoFlash {
+        jedec: overview.jedec,
+    })?;
+    Ok((overview, layout))
+}
+
+/// Asks the board what it is: the image has to be for it.
+fn fits_board(
     client: &mut Client,
     image: &For<'_>,
     force_platform: bool,
-) -> Result<(Overview, Layout), UpdateError> {
+) -> Result<(), UpdateError> {
     let identity = client.identify()?;
     let blob = identity.blob();
     fits(
@@ -299,12 +303,7 @@ fn look(
         blob.text(Kind::Fpga, 0),
         blob.text(Kind::Platform, 0),
         force_platform,
-    )?;
-    let overview = Overview::read(client)?;
-    let layout = overview.layout.ok_or(FlashError::NoFlash {
-        jedec: overview.jedec,
-    })?;
-    Ok((overview, layout))
+    )
 }
 
 /// Is the image for this board?
