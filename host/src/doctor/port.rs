@@ -100,9 +100,11 @@ impl Errors {
     /// What has come since an earlier look: nothing is to, while the line is in use.
     pub fn since(self, earlier: Self) -> Finding {
         let check = "errors of the port";
-        let pairs = self.0.iter().zip(earlier.0);
-        let mut grown = pairs.map(|(now, before)| now.saturating_sub(before));
-        let news = Errors([(); ERRORS.len()].map(|()| grown.next().unwrap_or_default())).told();
+        let mut news = self;
+        for (count, before) in news.0.iter_mut().zip(earlier.0) {
+            *count = count.saturating_sub(before);
+        }
+        let news = news.told();
         match news.is_empty() {
             true => Finding::good(check, "none in that time"),
             false => Finding::bad(

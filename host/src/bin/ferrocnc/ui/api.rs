@@ -3,7 +3,9 @@
 use super::answer::{Answer, Refusal, answered};
 use crate::config::{self, New};
 use crate::describe::Description;
+use crate::text::Told;
 use crate::{discover, doctor, job, key, machine, set};
+use anyhow::Result;
 use axum::Json;
 use axum::extract::Query;
 use axum::http::header::CONTENT_TYPE;
@@ -49,22 +51,25 @@ pub(super) async fn describe(Query(at): Query<At>) -> Answer {
     Ok(Json(described.to_json()))
 }
 
+/// What a command prints, both ways.
+async fn told(work: impl FnOnce() -> Result<Told> + Send + 'static) -> Answer {
+    let told = answered(work).await?;
+    Ok(Json(json!({ "text": told.text, "done": told.json })))
+}
+
 /// `ferrocnc set`.
 pub(super) async fn board_set(Json(wanted): Json<set::Wanted>) -> Answer {
-    let told = answered(move || wanted.take()).await?;
-    Ok(Json(json!({ "text": told.text, "done": told.json })))
+    told(move || wanted.take()).await
 }
 
 /// `ferrocnc key show`.
 pub(super) async fn key_show(Query(at): Query<At>) -> Answer {
-    let told = answered(move || key::show(&at.board)).await?;
-    Ok(Json(json!({ "text": told.text, "done": told.json })))
+    told(move || key::show(&at.board)).await
 }
 
 /// `ferrocnc key new`, `set` and `clear`.
 pub(super) async fn key_order(Json(wanted): Json<key::Wanted>) -> Answer {
-    let told = answered(move || wanted.take()).await?;
-    Ok(Json(json!({ "text": told.text, "done": told.json })))
+    told(move || wanted.take()).await
 }
 
 /// What `doctor` looks at.
