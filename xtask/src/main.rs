@@ -22,6 +22,7 @@ mod python;
 mod regen;
 mod release;
 mod setup;
+mod simulated;
 mod slowest;
 mod step;
 mod test;

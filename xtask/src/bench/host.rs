@@ -25,7 +25,7 @@ mod session;
 use crate::{build, root, setup, step, target};
 use anyhow::Result;
 use serde_json::{Value, json};
-use session::{Session, Twin};
+use session::{Session, twin};
 use std::process::Command;
 
 /// The board of the twin: six axes.
@@ -168,7 +168,7 @@ fn alone(shape: &str, functions: &[&str], like: &session::Alike) -> Result<Vec<V
 
 /// The driver alone at a servo rate, on a twin in real time.
 fn rate(hz: u64) -> Result<Value> {
-    let twin = Twin::start(BOARD, &["--mode", "free"])?;
+    let twin = twin(BOARD, &["--mode", "free"])?;
     let period = 1_000_000_000 / hz;
     let mut session = Session::new(&format!("rate-{hz}"), period);
     session.ferrocnc(twin.port);

@@ -3,14 +3,13 @@
 //! tool and the simulated board are tried so, of the module only its file is read.
 
 use super::contents::dpkg;
+use crate::simulated::Simulated;
 use crate::{setup, step, target};
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use std::fs;
-use std::io::{BufRead, BufReader};
-use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 
 /// A processor, by Debian's name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -131,8 +130,8 @@ pub fn check(packages: &[PathBuf]) -> Result<()> {
         }
         step::note(&format!("in {QEMU}: {}", said.trim()));
     }
-    let board = Board::start(simulator())?;
-    let said = said(tool(), &["describe", &board.address])?;
+    let board = Simulated::start(simulator(), &["--mode", "free"])?;
+    let said = said(tool(), &["describe", &format!("127.0.0.1:{}", board.port)])?;
     drop(board);
     step::note(&format!(
         "in {QEMU}: ferrocnc describes the board that ferrocnc-sim simulates, in {} lines",
@@ -171,38 +170,6 @@ fn missing(table: &str) -> Option<&'static str> {
         })
     };
     EXPORTS.into_iter().find(|name| !exported(name))
-}
-
-/// A simulated board, killed when dropped.
-struct Board {
-    child: Child,
-    address: String,
-}
-
-impl Board {
-    fn start(mut simulator: Command) -> Result<Self> {
-        let address = UdpSocket::bind("127.0.0.1:0")?.local_addr()?.to_string();
-        simulator.args(["--backend", "model", "--mode", "free", "--udp", &address]);
-        simulator.args(["--console", "127.0.0.1:0"]);
-        simulator.stdin(Stdio::null()).stdout(Stdio::piped());
-        let mut child = simulator.stderr(Stdio::null()).spawn()?;
-        let out = child.stdout.take();
-        let board = Board { child, address };
-        let mut ready = String::new();
-        BufReader::new(out.context("its output")?).read_line(&mut ready)?;
-        match ready.starts_with("ready") {
-            true => Ok(board),
-            false => bail!("the simulated board says {ready:?}"),
-        }
-    }
-}
-
-impl Drop for Board {
-    fn drop(&mut self) {
-        // What has ended already needs no end.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
 }
 
 #[cfg(test)]

@@ -1,15 +1,15 @@
 //! A session of LinuxCNC's realtime for the bench: its HAL file, the board and the responder it
 //! talks to, and what it leaves.
 
+use crate::simulated::Simulated;
 use crate::{setup, target};
 use anyhow::{Context, Result, bail};
 use std::collections::BTreeMap;
 use std::fmt;
-use std::io::{BufRead, BufReader};
-use std::net::{TcpListener, UdpSocket};
+use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock};
 use std::thread::JoinHandle;
@@ -101,47 +101,11 @@ fn bind() {
     }
 }
 
-/// A twin of the board, killed when dropped.
-pub struct Twin {
-    child: Child,
-    /// Its UDP port.
-    pub port: u16,
-}
-
-impl Twin {
-    /// Starts it on free ports and waits until it answers.
-    pub fn start(board: &str, arguments: &[&str]) -> Result<Self> {
-        let port = UdpSocket::bind("127.0.0.1:0")?.local_addr()?.port();
-        let console = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
-        let mut child = bound(FIRST, &target("release/ferrocnc-sim").display().to_string())
-            .args(["--backend", "model", "--board", board])
-            .args(["--udp", &format!("127.0.0.1:{port}")])
-            .args(["--console", &console.to_string()])
-            .args(["--silence-ms", "600000"])
-            .args(arguments)
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .context("cannot start the twin")?;
-        let mut ready = String::new();
-        if let Some(out) = child.stdout.take() {
-            BufReader::new(out).read_line(&mut ready)?;
-        }
-        let twin = Twin { child, port };
-        match ready.starts_with("ready") {
-            true => Ok(twin),
-            false => bail!("the twin said {ready:?}"),
-        }
-    }
-}
-
-impl Drop for Twin {
-    fn drop(&mut self) {
-        // Already gone is gone.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
+/// A twin of the board, on the processor of what answers.
+pub fn twin(board: &str, arguments: &[&str]) -> Result<Simulated> {
+    let simulator = bound(FIRST, &target("release/ferrocnc-sim").display().to_string());
+    let own = ["--board", board, "--silence-ms", "600000"];
+    Simulated::start(simulator, &[&own, arguments].concat())
 }
 
 /// Answers every datagram with so many bytes, the first of which are the datagram's.
@@ -374,7 +338,7 @@ pub fn value(said: &str, name: &str) -> Option<f64> {
 
 /// Loads the driver once and looks at what it exports.
 pub fn alike(board: &str) -> Result<Alike> {
-    let twin = Twin::start(board, &["--mode", "lockstep"])?;
+    let twin = twin(board, &["--mode", "lockstep"])?;
     let mut session = Session::new("alike", 1_000_000);
     session.ferrocnc(twin.port);
     session.stamped(&["ferrocnc.0.read", "ferrocnc.0.write"], 10);
@@ -422,11 +386,11 @@ pub fn one(
     shape: &str,
     functions: &[&str],
     like: &Alike,
-) -> Result<(Session, (Twin, Responder))> {
+) -> Result<(Session, (Simulated, Responder))> {
     let ours = functions[0].starts_with("ferrocnc");
     let driver = if ours { "ferrocnc" } else { "c" };
     let mut session = Session::new(&format!("{shape}-{driver}"), 1_000_000);
-    let twin = Twin::start(board, &["--mode", "lockstep"])?;
+    let twin = twin(board, &["--mode", "lockstep"])?;
     let responder = Responder::start(4 * like.status)?;
     match ours {
         true => session.ferrocnc(twin.port),
