@@ -158,8 +158,14 @@ IDENT = Bank("ident", 8, "ident", "The gateware's identity. Constant; the firmwa
         _bit("jobs", 0, "1: the board executes jobs; `segments` is there."),
         _bit("readback", 1, "1: `pads` and `timebase.eth_beats` are there. 0 in gateware from "
             "before them."),
+        _bit("pins", 2, "1: a pin's function is configured: `pinmux_out` and `pinmux_in` are "
+            "there, the board info can be written, and inputs and outputs have the numbers of "
+            "their pins."),
     )),
     Reg("board_rom_words", "ro", "Length of the board info blob at 0x90000000 in 32-bit words."),
+    Reg("pins", "ro", "Header lines behind the multiplexer, a count; 0 without one."),
+    Reg("platform", "ro", "CRC-32 of the name of the platform the image is for; 0 without a "
+        "multiplexer."),
 ))
 
 TIMEBASE = Bank("timebase", 9, "timebase", "The 64-bit wall clock and the two strobes that make "
@@ -339,6 +345,37 @@ RX_ADMISSION = Bank("rx_admission", 65, "rx_admission", "Which frames may occupy
     Reg("refused", "ro", "Guests discarded because there was no ticket, a count since power-up."),
 ))
 
+
+# Sources of the outputs and sinks of the inputs: `wire::pins` has their numbers.
+_ROUTES = tuple(
+    Reg(f"route{n}", "wo", f"Routes {4 * n} to {4 * n + 3}, a byte each, the first one lowest: bits "
+        "6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate "
+        "is closed and `status.idle`.") for n in range(32))
+_ROUTED = (
+    _bit("idle", 0, "1: no route is being written."),
+    _bit("refused", 1, "1: the last word had no effect: the gate was open, or a route was being "
+        "written."),
+)
+
+PINMUX_OUT = Bank("pinmux_out", 70, "pinmux_out", "What each header line carries if it is an "
+    "output (docs/cores/pinmux.md). Boards without a multiplexer do not have it.", _ROUTES + tuple(
+    Reg(f"{name}{n}", "wo", f"{prose}, of lines {32 * n} to {32 * n + 31}, one bit per line.")
+    for name, prose in (
+        ("safe", "Levels while the gate is closed"),
+        ("keeps", "1: the level stays as it was when the gate closed"),
+        ("drives", "1: the line is driven; 0: it is an input"),
+    ) for n in range(4)) + (
+    Reg("status", "ro", "State of the outputs.", _ROUTED + (
+        _bit("live", 2, "1: lines carry their sources."),
+    )),
+))
+
+PINMUX_IN = Bank("pinmux_in", 71, "pinmux_in", "Which header line each input of a core listens "
+    "to. Boards without a multiplexer do not have it.", _ROUTES + (
+    Reg("status", "ro", "State of the inputs.", _ROUTED + (
+        _bit("ready", 2, "1: a route was written, and all of the last word's are complete."),
+    )),
+))
 
 FAST_PATH = Bank("fast_path", 68, "fast_path", "Executes the owner's next command without the CPU, "
     "and answers it. Firmware says what its frame must look like (here and in "
@@ -657,7 +694,7 @@ PWM = tuple(Bank(f"pwm{n}", 48 + n, "pwm", f"Period, kind and polarity of PWM {n
     for n in range(MAX_PWM))
 
 BANKS = (SDRAM, IDENT, TIMEBASE, WATCHDOG, GPIO, LED, DEBOUNCE, COMMAND, STATUS) + STEPGEN + (
-    ENCODER) + PWM + (FLASH, RX_ADMISSION, SEGMENTS, PADS, FAST_PATH, GPIO_HIGH)
+    ENCODER) + PWM + (FLASH, RX_ADMISSION, SEGMENTS, PADS, FAST_PATH, GPIO_HIGH, PINMUX_OUT, PINMUX_IN)
 
 
 def check():

@@ -1880,6 +1880,8 @@ pub mod ident {
         channels1: Channels1,
         features: Features,
         board_rom_words: BoardRomWords,
+        pins: Pins,
+        platform: Platform,
     }
     impl RegisterBlock {
         #[doc = "0x00 - Always 0x46436e43 (\"FCnC\"): this is FerroCNC gateware and this map applies."]
@@ -1921,6 +1923,16 @@ pub mod ident {
         #[inline(always)]
         pub const fn board_rom_words(&self) -> &BoardRomWords {
             &self.board_rom_words
+        }
+        #[doc = "0x20 - Header lines behind the multiplexer, a count; 0 without one."]
+        #[inline(always)]
+        pub const fn pins(&self) -> &Pins {
+            &self.pins
+        }
+        #[doc = "0x24 - CRC-32 of the name of the platform the image is for; 0 without a multiplexer."]
+        #[inline(always)]
+        pub const fn platform(&self) -> &Platform {
+            &self.platform
         }
     }
     #[doc = "MAGIC (r) register accessor: Always 0x46436e43 (\"FCnC\"): this is FerroCNC gateware and this map applies.\n\nYou can [`read`](crate::Reg::read) this register and get [`magic::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@magic`] module"]
@@ -2113,6 +2125,8 @@ pub mod ident {
         pub type JobsR = crate::BitReader;
         #[doc = "Field `readback` reader - 1: `pads` and `timebase.eth_beats` are there. 0 in gateware from before them."]
         pub type ReadbackR = crate::BitReader;
+        #[doc = "Field `pins` reader - 1: a pin's function is configured: `pinmux_out` and `pinmux_in` are there, the board info can be written, and inputs and outputs have the numbers of their pins."]
+        pub type PinsR = crate::BitReader;
         impl R {
             #[doc = "Bit 0 - 1: the board executes jobs; `segments` is there."]
             #[inline(always)]
@@ -2123,6 +2137,11 @@ pub mod ident {
             #[inline(always)]
             pub fn readback(&self) -> ReadbackR {
                 ReadbackR::new(((self.bits >> 1) & 1) != 0)
+            }
+            #[doc = "Bit 2 - 1: a pin's function is configured: `pinmux_out` and `pinmux_in` are there, the board info can be written, and inputs and outputs have the numbers of their pins."]
+            #[inline(always)]
+            pub fn pins(&self) -> PinsR {
+                PinsR::new(((self.bits >> 2) & 1) != 0)
             }
         }
         #[doc = "Optional parts present, one bit each.\n\nYou can [`read`](crate::Reg::read) this register and get [`features::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
@@ -2156,6 +2175,50 @@ pub mod ident {
         impl crate::Readable for BoardRomWordsSpec {}
         #[doc = "`reset()` method sets BOARD_ROM_WORDS to value 0"]
         impl crate::Resettable for BoardRomWordsSpec {}
+    }
+    #[doc = "PINS (r) register accessor: Header lines behind the multiplexer, a count; 0 without one.\n\nYou can [`read`](crate::Reg::read) this register and get [`pins::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@pins`] module"]
+    #[doc(alias = "PINS")]
+    pub type Pins = crate::Reg<pins::PinsSpec>;
+    #[doc = "Header lines behind the multiplexer, a count; 0 without one."]
+    pub mod pins {
+        #[doc = "Register `PINS` reader"]
+        pub type R = crate::R<PinsSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Header lines behind the multiplexer, a count; 0 without one.\n\nYou can [`read`](crate::Reg::read) this register and get [`pins::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct PinsSpec;
+        impl crate::RegisterSpec for PinsSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`pins::R`](R) reader structure"]
+        impl crate::Readable for PinsSpec {}
+        #[doc = "`reset()` method sets PINS to value 0"]
+        impl crate::Resettable for PinsSpec {}
+    }
+    #[doc = "PLATFORM (r) register accessor: CRC-32 of the name of the platform the image is for; 0 without a multiplexer.\n\nYou can [`read`](crate::Reg::read) this register and get [`platform::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@platform`] module"]
+    #[doc(alias = "PLATFORM")]
+    pub type Platform = crate::Reg<platform::PlatformSpec>;
+    #[doc = "CRC-32 of the name of the platform the image is for; 0 without a multiplexer."]
+    pub mod platform {
+        #[doc = "Register `PLATFORM` reader"]
+        pub type R = crate::R<PlatformSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "CRC-32 of the name of the platform the image is for; 0 without a multiplexer.\n\nYou can [`read`](crate::Reg::read) this register and get [`platform::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct PlatformSpec;
+        impl crate::RegisterSpec for PlatformSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`platform::R`](R) reader structure"]
+        impl crate::Readable for PlatformSpec {}
+        #[doc = "`reset()` method sets PLATFORM to value 0"]
+        impl crate::Resettable for PlatformSpec {}
     }
 }
 #[doc = "The 64-bit wall clock and the two strobes that make all channels act on one clock."]
@@ -17981,6 +18044,2486 @@ pub mod gpio_high {
         impl crate::Resettable for RawNowSpec {}
     }
 }
+#[doc = "What each header line carries if it is an output (docs/cores/pinmux.md). Boards without a multiplexer do not have it."]
+pub type PinmuxOut = crate::Periph<pinmux_out::RegisterBlock, 0xf002_3000>;
+impl core::fmt::Debug for PinmuxOut {
+    fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+        f.debug_struct("PinmuxOut").finish()
+    }
+}
+#[doc = "What each header line carries if it is an output (docs/cores/pinmux.md). Boards without a multiplexer do not have it."]
+pub mod pinmux_out {
+    #[repr(C)]
+    #[doc = "Register block"]
+    pub struct RegisterBlock {
+        route0: Route0,
+        route1: Route1,
+        route2: Route2,
+        route3: Route3,
+        route4: Route4,
+        route5: Route5,
+        route6: Route6,
+        route7: Route7,
+        route8: Route8,
+        route9: Route9,
+        route10: Route10,
+        route11: Route11,
+        route12: Route12,
+        route13: Route13,
+        route14: Route14,
+        route15: Route15,
+        route16: Route16,
+        route17: Route17,
+        route18: Route18,
+        route19: Route19,
+        route20: Route20,
+        route21: Route21,
+        route22: Route22,
+        route23: Route23,
+        route24: Route24,
+        route25: Route25,
+        route26: Route26,
+        route27: Route27,
+        route28: Route28,
+        route29: Route29,
+        route30: Route30,
+        route31: Route31,
+        safe0: Safe0,
+        safe1: Safe1,
+        safe2: Safe2,
+        safe3: Safe3,
+        keeps0: Keeps0,
+        keeps1: Keeps1,
+        keeps2: Keeps2,
+        keeps3: Keeps3,
+        drives0: Drives0,
+        drives1: Drives1,
+        drives2: Drives2,
+        drives3: Drives3,
+        status: Status,
+    }
+    impl RegisterBlock {
+        #[doc = "0x00 - Routes 0 to 3, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route0(&self) -> &Route0 {
+            &self.route0
+        }
+        #[doc = "0x04 - Routes 4 to 7, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route1(&self) -> &Route1 {
+            &self.route1
+        }
+        #[doc = "0x08 - Routes 8 to 11, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route2(&self) -> &Route2 {
+            &self.route2
+        }
+        #[doc = "0x0c - Routes 12 to 15, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route3(&self) -> &Route3 {
+            &self.route3
+        }
+        #[doc = "0x10 - Routes 16 to 19, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route4(&self) -> &Route4 {
+            &self.route4
+        }
+        #[doc = "0x14 - Routes 20 to 23, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route5(&self) -> &Route5 {
+            &self.route5
+        }
+        #[doc = "0x18 - Routes 24 to 27, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route6(&self) -> &Route6 {
+            &self.route6
+        }
+        #[doc = "0x1c - Routes 28 to 31, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route7(&self) -> &Route7 {
+            &self.route7
+        }
+        #[doc = "0x20 - Routes 32 to 35, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route8(&self) -> &Route8 {
+            &self.route8
+        }
+        #[doc = "0x24 - Routes 36 to 39, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route9(&self) -> &Route9 {
+            &self.route9
+        }
+        #[doc = "0x28 - Routes 40 to 43, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route10(&self) -> &Route10 {
+            &self.route10
+        }
+        #[doc = "0x2c - Routes 44 to 47, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route11(&self) -> &Route11 {
+            &self.route11
+        }
+        #[doc = "0x30 - Routes 48 to 51, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route12(&self) -> &Route12 {
+            &self.route12
+        }
+        #[doc = "0x34 - Routes 52 to 55, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route13(&self) -> &Route13 {
+            &self.route13
+        }
+        #[doc = "0x38 - Routes 56 to 59, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route14(&self) -> &Route14 {
+            &self.route14
+        }
+        #[doc = "0x3c - Routes 60 to 63, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route15(&self) -> &Route15 {
+            &self.route15
+        }
+        #[doc = "0x40 - Routes 64 to 67, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route16(&self) -> &Route16 {
+            &self.route16
+        }
+        #[doc = "0x44 - Routes 68 to 71, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route17(&self) -> &Route17 {
+            &self.route17
+        }
+        #[doc = "0x48 - Routes 72 to 75, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route18(&self) -> &Route18 {
+            &self.route18
+        }
+        #[doc = "0x4c - Routes 76 to 79, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route19(&self) -> &Route19 {
+            &self.route19
+        }
+        #[doc = "0x50 - Routes 80 to 83, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route20(&self) -> &Route20 {
+            &self.route20
+        }
+        #[doc = "0x54 - Routes 84 to 87, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route21(&self) -> &Route21 {
+            &self.route21
+        }
+        #[doc = "0x58 - Routes 88 to 91, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route22(&self) -> &Route22 {
+            &self.route22
+        }
+        #[doc = "0x5c - Routes 92 to 95, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route23(&self) -> &Route23 {
+            &self.route23
+        }
+        #[doc = "0x60 - Routes 96 to 99, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route24(&self) -> &Route24 {
+            &self.route24
+        }
+        #[doc = "0x64 - Routes 100 to 103, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route25(&self) -> &Route25 {
+            &self.route25
+        }
+        #[doc = "0x68 - Routes 104 to 107, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route26(&self) -> &Route26 {
+            &self.route26
+        }
+        #[doc = "0x6c - Routes 108 to 111, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route27(&self) -> &Route27 {
+            &self.route27
+        }
+        #[doc = "0x70 - Routes 112 to 115, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route28(&self) -> &Route28 {
+            &self.route28
+        }
+        #[doc = "0x74 - Routes 116 to 119, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route29(&self) -> &Route29 {
+            &self.route29
+        }
+        #[doc = "0x78 - Routes 120 to 123, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route30(&self) -> &Route30 {
+            &self.route30
+        }
+        #[doc = "0x7c - Routes 124 to 127, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route31(&self) -> &Route31 {
+            &self.route31
+        }
+        #[doc = "0x80 - Levels while the gate is closed, of lines 0 to 31, one bit per line."]
+        #[inline(always)]
+        pub const fn safe0(&self) -> &Safe0 {
+            &self.safe0
+        }
+        #[doc = "0x84 - Levels while the gate is closed, of lines 32 to 63, one bit per line."]
+        #[inline(always)]
+        pub const fn safe1(&self) -> &Safe1 {
+            &self.safe1
+        }
+        #[doc = "0x88 - Levels while the gate is closed, of lines 64 to 95, one bit per line."]
+        #[inline(always)]
+        pub const fn safe2(&self) -> &Safe2 {
+            &self.safe2
+        }
+        #[doc = "0x8c - Levels while the gate is closed, of lines 96 to 127, one bit per line."]
+        #[inline(always)]
+        pub const fn safe3(&self) -> &Safe3 {
+            &self.safe3
+        }
+        #[doc = "0x90 - 1: the level stays as it was when the gate closed, of lines 0 to 31, one bit per line."]
+        #[inline(always)]
+        pub const fn keeps0(&self) -> &Keeps0 {
+            &self.keeps0
+        }
+        #[doc = "0x94 - 1: the level stays as it was when the gate closed, of lines 32 to 63, one bit per line."]
+        #[inline(always)]
+        pub const fn keeps1(&self) -> &Keeps1 {
+            &self.keeps1
+        }
+        #[doc = "0x98 - 1: the level stays as it was when the gate closed, of lines 64 to 95, one bit per line."]
+        #[inline(always)]
+        pub const fn keeps2(&self) -> &Keeps2 {
+            &self.keeps2
+        }
+        #[doc = "0x9c - 1: the level stays as it was when the gate closed, of lines 96 to 127, one bit per line."]
+        #[inline(always)]
+        pub const fn keeps3(&self) -> &Keeps3 {
+            &self.keeps3
+        }
+        #[doc = "0xa0 - 1: the line is driven; 0: it is an input, of lines 0 to 31, one bit per line."]
+        #[inline(always)]
+        pub const fn drives0(&self) -> &Drives0 {
+            &self.drives0
+        }
+        #[doc = "0xa4 - 1: the line is driven; 0: it is an input, of lines 32 to 63, one bit per line."]
+        #[inline(always)]
+        pub const fn drives1(&self) -> &Drives1 {
+            &self.drives1
+        }
+        #[doc = "0xa8 - 1: the line is driven; 0: it is an input, of lines 64 to 95, one bit per line."]
+        #[inline(always)]
+        pub const fn drives2(&self) -> &Drives2 {
+            &self.drives2
+        }
+        #[doc = "0xac - 1: the line is driven; 0: it is an input, of lines 96 to 127, one bit per line."]
+        #[inline(always)]
+        pub const fn drives3(&self) -> &Drives3 {
+            &self.drives3
+        }
+        #[doc = "0xb0 - State of the outputs."]
+        #[inline(always)]
+        pub const fn status(&self) -> &Status {
+            &self.status
+        }
+    }
+    #[doc = "ROUTE0 (w) register accessor: Routes 0 to 3, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route0::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route0`] module"]
+    #[doc(alias = "ROUTE0")]
+    pub type Route0 = crate::Reg<route0::Route0Spec>;
+    #[doc = "Routes 0 to 3, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route0 {
+        #[doc = "Register `ROUTE0` writer"]
+        pub type W = crate::W<Route0Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route0Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 0 to 3, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route0::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route0Spec;
+        impl crate::RegisterSpec for Route0Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route0::W`](W) writer structure"]
+        impl crate::Writable for Route0Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE0 to value 0"]
+        impl crate::Resettable for Route0Spec {}
+    }
+    #[doc = "ROUTE1 (w) register accessor: Routes 4 to 7, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route1::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route1`] module"]
+    #[doc(alias = "ROUTE1")]
+    pub type Route1 = crate::Reg<route1::Route1Spec>;
+    #[doc = "Routes 4 to 7, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route1 {
+        #[doc = "Register `ROUTE1` writer"]
+        pub type W = crate::W<Route1Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route1Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 4 to 7, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route1::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route1Spec;
+        impl crate::RegisterSpec for Route1Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route1::W`](W) writer structure"]
+        impl crate::Writable for Route1Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE1 to value 0"]
+        impl crate::Resettable for Route1Spec {}
+    }
+    #[doc = "ROUTE2 (w) register accessor: Routes 8 to 11, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route2::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route2`] module"]
+    #[doc(alias = "ROUTE2")]
+    pub type Route2 = crate::Reg<route2::Route2Spec>;
+    #[doc = "Routes 8 to 11, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route2 {
+        #[doc = "Register `ROUTE2` writer"]
+        pub type W = crate::W<Route2Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route2Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 8 to 11, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route2::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route2Spec;
+        impl crate::RegisterSpec for Route2Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route2::W`](W) writer structure"]
+        impl crate::Writable for Route2Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE2 to value 0"]
+        impl crate::Resettable for Route2Spec {}
+    }
+    #[doc = "ROUTE3 (w) register accessor: Routes 12 to 15, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route3::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route3`] module"]
+    #[doc(alias = "ROUTE3")]
+    pub type Route3 = crate::Reg<route3::Route3Spec>;
+    #[doc = "Routes 12 to 15, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route3 {
+        #[doc = "Register `ROUTE3` writer"]
+        pub type W = crate::W<Route3Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route3Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 12 to 15, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route3::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route3Spec;
+        impl crate::RegisterSpec for Route3Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route3::W`](W) writer structure"]
+        impl crate::Writable for Route3Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE3 to value 0"]
+        impl crate::Resettable for Route3Spec {}
+    }
+    #[doc = "ROUTE4 (w) register accessor: Routes 16 to 19, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route4::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route4`] module"]
+    #[doc(alias = "ROUTE4")]
+    pub type Route4 = crate::Reg<route4::Route4Spec>;
+    #[doc = "Routes 16 to 19, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route4 {
+        #[doc = "Register `ROUTE4` writer"]
+        pub type W = crate::W<Route4Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route4Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 16 to 19, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route4::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route4Spec;
+        impl crate::RegisterSpec for Route4Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route4::W`](W) writer structure"]
+        impl crate::Writable for Route4Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE4 to value 0"]
+        impl crate::Resettable for Route4Spec {}
+    }
+    #[doc = "ROUTE5 (w) register accessor: Routes 20 to 23, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route5::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route5`] module"]
+    #[doc(alias = "ROUTE5")]
+    pub type Route5 = crate::Reg<route5::Route5Spec>;
+    #[doc = "Routes 20 to 23, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route5 {
+        #[doc = "Register `ROUTE5` writer"]
+        pub type W = crate::W<Route5Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route5Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 20 to 23, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route5::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route5Spec;
+        impl crate::RegisterSpec for Route5Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route5::W`](W) writer structure"]
+        impl crate::Writable for Route5Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE5 to value 0"]
+        impl crate::Resettable for Route5Spec {}
+    }
+    #[doc = "ROUTE6 (w) register accessor: Routes 24 to 27, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route6::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route6`] module"]
+    #[doc(alias = "ROUTE6")]
+    pub type Route6 = crate::Reg<route6::Route6Spec>;
+    #[doc = "Routes 24 to 27, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route6 {
+        #[doc = "Register `ROUTE6` writer"]
+        pub type W = crate::W<Route6Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route6Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 24 to 27, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route6::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route6Spec;
+        impl crate::RegisterSpec for Route6Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route6::W`](W) writer structure"]
+        impl crate::Writable for Route6Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE6 to value 0"]
+        impl crate::Resettable for Route6Spec {}
+    }
+    #[doc = "ROUTE7 (w) register accessor: Routes 28 to 31, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route7::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route7`] module"]
+    #[doc(alias = "ROUTE7")]
+    pub type Route7 = crate::Reg<route7::Route7Spec>;
+    #[doc = "Routes 28 to 31, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route7 {
+        #[doc = "Register `ROUTE7` writer"]
+        pub type W = crate::W<Route7Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route7Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 28 to 31, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route7::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route7Spec;
+        impl crate::RegisterSpec for Route7Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route7::W`](W) writer structure"]
+        impl crate::Writable for Route7Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE7 to value 0"]
+        impl crate::Resettable for Route7Spec {}
+    }
+    #[doc = "ROUTE8 (w) register accessor: Routes 32 to 35, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route8::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route8`] module"]
+    #[doc(alias = "ROUTE8")]
+    pub type Route8 = crate::Reg<route8::Route8Spec>;
+    #[doc = "Routes 32 to 35, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route8 {
+        #[doc = "Register `ROUTE8` writer"]
+        pub type W = crate::W<Route8Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route8Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 32 to 35, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route8::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route8Spec;
+        impl crate::RegisterSpec for Route8Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route8::W`](W) writer structure"]
+        impl crate::Writable for Route8Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE8 to value 0"]
+        impl crate::Resettable for Route8Spec {}
+    }
+    #[doc = "ROUTE9 (w) register accessor: Routes 36 to 39, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route9::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route9`] module"]
+    #[doc(alias = "ROUTE9")]
+    pub type Route9 = crate::Reg<route9::Route9Spec>;
+    #[doc = "Routes 36 to 39, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route9 {
+        #[doc = "Register `ROUTE9` writer"]
+        pub type W = crate::W<Route9Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route9Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 36 to 39, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route9::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route9Spec;
+        impl crate::RegisterSpec for Route9Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route9::W`](W) writer structure"]
+        impl crate::Writable for Route9Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE9 to value 0"]
+        impl crate::Resettable for Route9Spec {}
+    }
+    #[doc = "ROUTE10 (w) register accessor: Routes 40 to 43, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route10::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route10`] module"]
+    #[doc(alias = "ROUTE10")]
+    pub type Route10 = crate::Reg<route10::Route10Spec>;
+    #[doc = "Routes 40 to 43, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route10 {
+        #[doc = "Register `ROUTE10` writer"]
+        pub type W = crate::W<Route10Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route10Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 40 to 43, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route10::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route10Spec;
+        impl crate::RegisterSpec for Route10Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route10::W`](W) writer structure"]
+        impl crate::Writable for Route10Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE10 to value 0"]
+        impl crate::Resettable for Route10Spec {}
+    }
+    #[doc = "ROUTE11 (w) register accessor: Routes 44 to 47, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route11::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route11`] module"]
+    #[doc(alias = "ROUTE11")]
+    pub type Route11 = crate::Reg<route11::Route11Spec>;
+    #[doc = "Routes 44 to 47, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route11 {
+        #[doc = "Register `ROUTE11` writer"]
+        pub type W = crate::W<Route11Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route11Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 44 to 47, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route11::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route11Spec;
+        impl crate::RegisterSpec for Route11Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route11::W`](W) writer structure"]
+        impl crate::Writable for Route11Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE11 to value 0"]
+        impl crate::Resettable for Route11Spec {}
+    }
+    #[doc = "ROUTE12 (w) register accessor: Routes 48 to 51, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route12::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route12`] module"]
+    #[doc(alias = "ROUTE12")]
+    pub type Route12 = crate::Reg<route12::Route12Spec>;
+    #[doc = "Routes 48 to 51, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route12 {
+        #[doc = "Register `ROUTE12` writer"]
+        pub type W = crate::W<Route12Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route12Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 48 to 51, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route12::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route12Spec;
+        impl crate::RegisterSpec for Route12Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route12::W`](W) writer structure"]
+        impl crate::Writable for Route12Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE12 to value 0"]
+        impl crate::Resettable for Route12Spec {}
+    }
+    #[doc = "ROUTE13 (w) register accessor: Routes 52 to 55, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route13::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route13`] module"]
+    #[doc(alias = "ROUTE13")]
+    pub type Route13 = crate::Reg<route13::Route13Spec>;
+    #[doc = "Routes 52 to 55, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route13 {
+        #[doc = "Register `ROUTE13` writer"]
+        pub type W = crate::W<Route13Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route13Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 52 to 55, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route13::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route13Spec;
+        impl crate::RegisterSpec for Route13Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route13::W`](W) writer structure"]
+        impl crate::Writable for Route13Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE13 to value 0"]
+        impl crate::Resettable for Route13Spec {}
+    }
+    #[doc = "ROUTE14 (w) register accessor: Routes 56 to 59, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route14::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route14`] module"]
+    #[doc(alias = "ROUTE14")]
+    pub type Route14 = crate::Reg<route14::Route14Spec>;
+    #[doc = "Routes 56 to 59, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route14 {
+        #[doc = "Register `ROUTE14` writer"]
+        pub type W = crate::W<Route14Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route14Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 56 to 59, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route14::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route14Spec;
+        impl crate::RegisterSpec for Route14Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route14::W`](W) writer structure"]
+        impl crate::Writable for Route14Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE14 to value 0"]
+        impl crate::Resettable for Route14Spec {}
+    }
+    #[doc = "ROUTE15 (w) register accessor: Routes 60 to 63, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route15::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route15`] module"]
+    #[doc(alias = "ROUTE15")]
+    pub type Route15 = crate::Reg<route15::Route15Spec>;
+    #[doc = "Routes 60 to 63, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route15 {
+        #[doc = "Register `ROUTE15` writer"]
+        pub type W = crate::W<Route15Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route15Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 60 to 63, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route15::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route15Spec;
+        impl crate::RegisterSpec for Route15Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route15::W`](W) writer structure"]
+        impl crate::Writable for Route15Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE15 to value 0"]
+        impl crate::Resettable for Route15Spec {}
+    }
+    #[doc = "ROUTE16 (w) register accessor: Routes 64 to 67, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route16::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route16`] module"]
+    #[doc(alias = "ROUTE16")]
+    pub type Route16 = crate::Reg<route16::Route16Spec>;
+    #[doc = "Routes 64 to 67, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route16 {
+        #[doc = "Register `ROUTE16` writer"]
+        pub type W = crate::W<Route16Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route16Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 64 to 67, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route16::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route16Spec;
+        impl crate::RegisterSpec for Route16Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route16::W`](W) writer structure"]
+        impl crate::Writable for Route16Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE16 to value 0"]
+        impl crate::Resettable for Route16Spec {}
+    }
+    #[doc = "ROUTE17 (w) register accessor: Routes 68 to 71, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route17::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route17`] module"]
+    #[doc(alias = "ROUTE17")]
+    pub type Route17 = crate::Reg<route17::Route17Spec>;
+    #[doc = "Routes 68 to 71, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route17 {
+        #[doc = "Register `ROUTE17` writer"]
+        pub type W = crate::W<Route17Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route17Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 68 to 71, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route17::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route17Spec;
+        impl crate::RegisterSpec for Route17Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route17::W`](W) writer structure"]
+        impl crate::Writable for Route17Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE17 to value 0"]
+        impl crate::Resettable for Route17Spec {}
+    }
+    #[doc = "ROUTE18 (w) register accessor: Routes 72 to 75, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route18::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route18`] module"]
+    #[doc(alias = "ROUTE18")]
+    pub type Route18 = crate::Reg<route18::Route18Spec>;
+    #[doc = "Routes 72 to 75, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route18 {
+        #[doc = "Register `ROUTE18` writer"]
+        pub type W = crate::W<Route18Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route18Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 72 to 75, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route18::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route18Spec;
+        impl crate::RegisterSpec for Route18Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route18::W`](W) writer structure"]
+        impl crate::Writable for Route18Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE18 to value 0"]
+        impl crate::Resettable for Route18Spec {}
+    }
+    #[doc = "ROUTE19 (w) register accessor: Routes 76 to 79, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route19::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route19`] module"]
+    #[doc(alias = "ROUTE19")]
+    pub type Route19 = crate::Reg<route19::Route19Spec>;
+    #[doc = "Routes 76 to 79, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route19 {
+        #[doc = "Register `ROUTE19` writer"]
+        pub type W = crate::W<Route19Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route19Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 76 to 79, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route19::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route19Spec;
+        impl crate::RegisterSpec for Route19Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route19::W`](W) writer structure"]
+        impl crate::Writable for Route19Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE19 to value 0"]
+        impl crate::Resettable for Route19Spec {}
+    }
+    #[doc = "ROUTE20 (w) register accessor: Routes 80 to 83, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route20::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route20`] module"]
+    #[doc(alias = "ROUTE20")]
+    pub type Route20 = crate::Reg<route20::Route20Spec>;
+    #[doc = "Routes 80 to 83, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route20 {
+        #[doc = "Register `ROUTE20` writer"]
+        pub type W = crate::W<Route20Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route20Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 80 to 83, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route20::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route20Spec;
+        impl crate::RegisterSpec for Route20Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route20::W`](W) writer structure"]
+        impl crate::Writable for Route20Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE20 to value 0"]
+        impl crate::Resettable for Route20Spec {}
+    }
+    #[doc = "ROUTE21 (w) register accessor: Routes 84 to 87, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route21::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route21`] module"]
+    #[doc(alias = "ROUTE21")]
+    pub type Route21 = crate::Reg<route21::Route21Spec>;
+    #[doc = "Routes 84 to 87, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route21 {
+        #[doc = "Register `ROUTE21` writer"]
+        pub type W = crate::W<Route21Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route21Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 84 to 87, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route21::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route21Spec;
+        impl crate::RegisterSpec for Route21Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route21::W`](W) writer structure"]
+        impl crate::Writable for Route21Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE21 to value 0"]
+        impl crate::Resettable for Route21Spec {}
+    }
+    #[doc = "ROUTE22 (w) register accessor: Routes 88 to 91, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route22::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route22`] module"]
+    #[doc(alias = "ROUTE22")]
+    pub type Route22 = crate::Reg<route22::Route22Spec>;
+    #[doc = "Routes 88 to 91, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route22 {
+        #[doc = "Register `ROUTE22` writer"]
+        pub type W = crate::W<Route22Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route22Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 88 to 91, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route22::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route22Spec;
+        impl crate::RegisterSpec for Route22Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route22::W`](W) writer structure"]
+        impl crate::Writable for Route22Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE22 to value 0"]
+        impl crate::Resettable for Route22Spec {}
+    }
+    #[doc = "ROUTE23 (w) register accessor: Routes 92 to 95, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route23::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route23`] module"]
+    #[doc(alias = "ROUTE23")]
+    pub type Route23 = crate::Reg<route23::Route23Spec>;
+    #[doc = "Routes 92 to 95, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route23 {
+        #[doc = "Register `ROUTE23` writer"]
+        pub type W = crate::W<Route23Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route23Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 92 to 95, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route23::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route23Spec;
+        impl crate::RegisterSpec for Route23Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route23::W`](W) writer structure"]
+        impl crate::Writable for Route23Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE23 to value 0"]
+        impl crate::Resettable for Route23Spec {}
+    }
+    #[doc = "ROUTE24 (w) register accessor: Routes 96 to 99, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route24::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route24`] module"]
+    #[doc(alias = "ROUTE24")]
+    pub type Route24 = crate::Reg<route24::Route24Spec>;
+    #[doc = "Routes 96 to 99, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route24 {
+        #[doc = "Register `ROUTE24` writer"]
+        pub type W = crate::W<Route24Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route24Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 96 to 99, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route24::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route24Spec;
+        impl crate::RegisterSpec for Route24Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route24::W`](W) writer structure"]
+        impl crate::Writable for Route24Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE24 to value 0"]
+        impl crate::Resettable for Route24Spec {}
+    }
+    #[doc = "ROUTE25 (w) register accessor: Routes 100 to 103, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route25::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route25`] module"]
+    #[doc(alias = "ROUTE25")]
+    pub type Route25 = crate::Reg<route25::Route25Spec>;
+    #[doc = "Routes 100 to 103, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route25 {
+        #[doc = "Register `ROUTE25` writer"]
+        pub type W = crate::W<Route25Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route25Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 100 to 103, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route25::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route25Spec;
+        impl crate::RegisterSpec for Route25Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route25::W`](W) writer structure"]
+        impl crate::Writable for Route25Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE25 to value 0"]
+        impl crate::Resettable for Route25Spec {}
+    }
+    #[doc = "ROUTE26 (w) register accessor: Routes 104 to 107, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route26::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route26`] module"]
+    #[doc(alias = "ROUTE26")]
+    pub type Route26 = crate::Reg<route26::Route26Spec>;
+    #[doc = "Routes 104 to 107, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route26 {
+        #[doc = "Register `ROUTE26` writer"]
+        pub type W = crate::W<Route26Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route26Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 104 to 107, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route26::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route26Spec;
+        impl crate::RegisterSpec for Route26Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route26::W`](W) writer structure"]
+        impl crate::Writable for Route26Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE26 to value 0"]
+        impl crate::Resettable for Route26Spec {}
+    }
+    #[doc = "ROUTE27 (w) register accessor: Routes 108 to 111, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route27::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route27`] module"]
+    #[doc(alias = "ROUTE27")]
+    pub type Route27 = crate::Reg<route27::Route27Spec>;
+    #[doc = "Routes 108 to 111, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route27 {
+        #[doc = "Register `ROUTE27` writer"]
+        pub type W = crate::W<Route27Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route27Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 108 to 111, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route27::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route27Spec;
+        impl crate::RegisterSpec for Route27Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route27::W`](W) writer structure"]
+        impl crate::Writable for Route27Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE27 to value 0"]
+        impl crate::Resettable for Route27Spec {}
+    }
+    #[doc = "ROUTE28 (w) register accessor: Routes 112 to 115, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route28::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route28`] module"]
+    #[doc(alias = "ROUTE28")]
+    pub type Route28 = crate::Reg<route28::Route28Spec>;
+    #[doc = "Routes 112 to 115, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route28 {
+        #[doc = "Register `ROUTE28` writer"]
+        pub type W = crate::W<Route28Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route28Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 112 to 115, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route28::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route28Spec;
+        impl crate::RegisterSpec for Route28Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route28::W`](W) writer structure"]
+        impl crate::Writable for Route28Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE28 to value 0"]
+        impl crate::Resettable for Route28Spec {}
+    }
+    #[doc = "ROUTE29 (w) register accessor: Routes 116 to 119, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route29::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route29`] module"]
+    #[doc(alias = "ROUTE29")]
+    pub type Route29 = crate::Reg<route29::Route29Spec>;
+    #[doc = "Routes 116 to 119, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route29 {
+        #[doc = "Register `ROUTE29` writer"]
+        pub type W = crate::W<Route29Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route29Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 116 to 119, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route29::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route29Spec;
+        impl crate::RegisterSpec for Route29Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route29::W`](W) writer structure"]
+        impl crate::Writable for Route29Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE29 to value 0"]
+        impl crate::Resettable for Route29Spec {}
+    }
+    #[doc = "ROUTE30 (w) register accessor: Routes 120 to 123, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route30::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route30`] module"]
+    #[doc(alias = "ROUTE30")]
+    pub type Route30 = crate::Reg<route30::Route30Spec>;
+    #[doc = "Routes 120 to 123, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route30 {
+        #[doc = "Register `ROUTE30` writer"]
+        pub type W = crate::W<Route30Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route30Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 120 to 123, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route30::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route30Spec;
+        impl crate::RegisterSpec for Route30Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route30::W`](W) writer structure"]
+        impl crate::Writable for Route30Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE30 to value 0"]
+        impl crate::Resettable for Route30Spec {}
+    }
+    #[doc = "ROUTE31 (w) register accessor: Routes 124 to 127, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route31::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route31`] module"]
+    #[doc(alias = "ROUTE31")]
+    pub type Route31 = crate::Reg<route31::Route31Spec>;
+    #[doc = "Routes 124 to 127, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route31 {
+        #[doc = "Register `ROUTE31` writer"]
+        pub type W = crate::W<Route31Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route31Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 124 to 127, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route31::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route31Spec;
+        impl crate::RegisterSpec for Route31Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route31::W`](W) writer structure"]
+        impl crate::Writable for Route31Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE31 to value 0"]
+        impl crate::Resettable for Route31Spec {}
+    }
+    #[doc = "SAFE0 (w) register accessor: Levels while the gate is closed, of lines 0 to 31, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`safe0::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@safe0`] module"]
+    #[doc(alias = "SAFE0")]
+    pub type Safe0 = crate::Reg<safe0::Safe0Spec>;
+    #[doc = "Levels while the gate is closed, of lines 0 to 31, one bit per line."]
+    pub mod safe0 {
+        #[doc = "Register `SAFE0` writer"]
+        pub type W = crate::W<Safe0Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Safe0Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Levels while the gate is closed, of lines 0 to 31, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`safe0::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Safe0Spec;
+        impl crate::RegisterSpec for Safe0Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`safe0::W`](W) writer structure"]
+        impl crate::Writable for Safe0Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets SAFE0 to value 0"]
+        impl crate::Resettable for Safe0Spec {}
+    }
+    #[doc = "SAFE1 (w) register accessor: Levels while the gate is closed, of lines 32 to 63, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`safe1::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@safe1`] module"]
+    #[doc(alias = "SAFE1")]
+    pub type Safe1 = crate::Reg<safe1::Safe1Spec>;
+    #[doc = "Levels while the gate is closed, of lines 32 to 63, one bit per line."]
+    pub mod safe1 {
+        #[doc = "Register `SAFE1` writer"]
+        pub type W = crate::W<Safe1Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Safe1Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Levels while the gate is closed, of lines 32 to 63, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`safe1::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Safe1Spec;
+        impl crate::RegisterSpec for Safe1Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`safe1::W`](W) writer structure"]
+        impl crate::Writable for Safe1Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets SAFE1 to value 0"]
+        impl crate::Resettable for Safe1Spec {}
+    }
+    #[doc = "SAFE2 (w) register accessor: Levels while the gate is closed, of lines 64 to 95, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`safe2::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@safe2`] module"]
+    #[doc(alias = "SAFE2")]
+    pub type Safe2 = crate::Reg<safe2::Safe2Spec>;
+    #[doc = "Levels while the gate is closed, of lines 64 to 95, one bit per line."]
+    pub mod safe2 {
+        #[doc = "Register `SAFE2` writer"]
+        pub type W = crate::W<Safe2Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Safe2Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Levels while the gate is closed, of lines 64 to 95, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`safe2::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Safe2Spec;
+        impl crate::RegisterSpec for Safe2Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`safe2::W`](W) writer structure"]
+        impl crate::Writable for Safe2Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets SAFE2 to value 0"]
+        impl crate::Resettable for Safe2Spec {}
+    }
+    #[doc = "SAFE3 (w) register accessor: Levels while the gate is closed, of lines 96 to 127, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`safe3::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@safe3`] module"]
+    #[doc(alias = "SAFE3")]
+    pub type Safe3 = crate::Reg<safe3::Safe3Spec>;
+    #[doc = "Levels while the gate is closed, of lines 96 to 127, one bit per line."]
+    pub mod safe3 {
+        #[doc = "Register `SAFE3` writer"]
+        pub type W = crate::W<Safe3Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Safe3Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Levels while the gate is closed, of lines 96 to 127, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`safe3::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Safe3Spec;
+        impl crate::RegisterSpec for Safe3Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`safe3::W`](W) writer structure"]
+        impl crate::Writable for Safe3Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets SAFE3 to value 0"]
+        impl crate::Resettable for Safe3Spec {}
+    }
+    #[doc = "KEEPS0 (w) register accessor: 1: the level stays as it was when the gate closed, of lines 0 to 31, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`keeps0::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@keeps0`] module"]
+    #[doc(alias = "KEEPS0")]
+    pub type Keeps0 = crate::Reg<keeps0::Keeps0Spec>;
+    #[doc = "1: the level stays as it was when the gate closed, of lines 0 to 31, one bit per line."]
+    pub mod keeps0 {
+        #[doc = "Register `KEEPS0` writer"]
+        pub type W = crate::W<Keeps0Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Keeps0Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "1: the level stays as it was when the gate closed, of lines 0 to 31, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`keeps0::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Keeps0Spec;
+        impl crate::RegisterSpec for Keeps0Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`keeps0::W`](W) writer structure"]
+        impl crate::Writable for Keeps0Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets KEEPS0 to value 0"]
+        impl crate::Resettable for Keeps0Spec {}
+    }
+    #[doc = "KEEPS1 (w) register accessor: 1: the level stays as it was when the gate closed, of lines 32 to 63, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`keeps1::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@keeps1`] module"]
+    #[doc(alias = "KEEPS1")]
+    pub type Keeps1 = crate::Reg<keeps1::Keeps1Spec>;
+    #[doc = "1: the level stays as it was when the gate closed, of lines 32 to 63, one bit per line."]
+    pub mod keeps1 {
+        #[doc = "Register `KEEPS1` writer"]
+        pub type W = crate::W<Keeps1Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Keeps1Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "1: the level stays as it was when the gate closed, of lines 32 to 63, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`keeps1::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Keeps1Spec;
+        impl crate::RegisterSpec for Keeps1Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`keeps1::W`](W) writer structure"]
+        impl crate::Writable for Keeps1Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets KEEPS1 to value 0"]
+        impl crate::Resettable for Keeps1Spec {}
+    }
+    #[doc = "KEEPS2 (w) register accessor: 1: the level stays as it was when the gate closed, of lines 64 to 95, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`keeps2::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@keeps2`] module"]
+    #[doc(alias = "KEEPS2")]
+    pub type Keeps2 = crate::Reg<keeps2::Keeps2Spec>;
+    #[doc = "1: the level stays as it was when the gate closed, of lines 64 to 95, one bit per line."]
+    pub mod keeps2 {
+        #[doc = "Register `KEEPS2` writer"]
+        pub type W = crate::W<Keeps2Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Keeps2Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "1: the level stays as it was when the gate closed, of lines 64 to 95, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`keeps2::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Keeps2Spec;
+        impl crate::RegisterSpec for Keeps2Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`keeps2::W`](W) writer structure"]
+        impl crate::Writable for Keeps2Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets KEEPS2 to value 0"]
+        impl crate::Resettable for Keeps2Spec {}
+    }
+    #[doc = "KEEPS3 (w) register accessor: 1: the level stays as it was when the gate closed, of lines 96 to 127, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`keeps3::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@keeps3`] module"]
+    #[doc(alias = "KEEPS3")]
+    pub type Keeps3 = crate::Reg<keeps3::Keeps3Spec>;
+    #[doc = "1: the level stays as it was when the gate closed, of lines 96 to 127, one bit per line."]
+    pub mod keeps3 {
+        #[doc = "Register `KEEPS3` writer"]
+        pub type W = crate::W<Keeps3Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Keeps3Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "1: the level stays as it was when the gate closed, of lines 96 to 127, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`keeps3::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Keeps3Spec;
+        impl crate::RegisterSpec for Keeps3Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`keeps3::W`](W) writer structure"]
+        impl crate::Writable for Keeps3Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets KEEPS3 to value 0"]
+        impl crate::Resettable for Keeps3Spec {}
+    }
+    #[doc = "DRIVES0 (w) register accessor: 1: the line is driven; 0: it is an input, of lines 0 to 31, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`drives0::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@drives0`] module"]
+    #[doc(alias = "DRIVES0")]
+    pub type Drives0 = crate::Reg<drives0::Drives0Spec>;
+    #[doc = "1: the line is driven; 0: it is an input, of lines 0 to 31, one bit per line."]
+    pub mod drives0 {
+        #[doc = "Register `DRIVES0` writer"]
+        pub type W = crate::W<Drives0Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Drives0Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "1: the line is driven; 0: it is an input, of lines 0 to 31, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`drives0::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Drives0Spec;
+        impl crate::RegisterSpec for Drives0Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`drives0::W`](W) writer structure"]
+        impl crate::Writable for Drives0Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets DRIVES0 to value 0"]
+        impl crate::Resettable for Drives0Spec {}
+    }
+    #[doc = "DRIVES1 (w) register accessor: 1: the line is driven; 0: it is an input, of lines 32 to 63, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`drives1::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@drives1`] module"]
+    #[doc(alias = "DRIVES1")]
+    pub type Drives1 = crate::Reg<drives1::Drives1Spec>;
+    #[doc = "1: the line is driven; 0: it is an input, of lines 32 to 63, one bit per line."]
+    pub mod drives1 {
+        #[doc = "Register `DRIVES1` writer"]
+        pub type W = crate::W<Drives1Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Drives1Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "1: the line is driven; 0: it is an input, of lines 32 to 63, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`drives1::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Drives1Spec;
+        impl crate::RegisterSpec for Drives1Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`drives1::W`](W) writer structure"]
+        impl crate::Writable for Drives1Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets DRIVES1 to value 0"]
+        impl crate::Resettable for Drives1Spec {}
+    }
+    #[doc = "DRIVES2 (w) register accessor: 1: the line is driven; 0: it is an input, of lines 64 to 95, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`drives2::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@drives2`] module"]
+    #[doc(alias = "DRIVES2")]
+    pub type Drives2 = crate::Reg<drives2::Drives2Spec>;
+    #[doc = "1: the line is driven; 0: it is an input, of lines 64 to 95, one bit per line."]
+    pub mod drives2 {
+        #[doc = "Register `DRIVES2` writer"]
+        pub type W = crate::W<Drives2Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Drives2Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "1: the line is driven; 0: it is an input, of lines 64 to 95, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`drives2::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Drives2Spec;
+        impl crate::RegisterSpec for Drives2Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`drives2::W`](W) writer structure"]
+        impl crate::Writable for Drives2Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets DRIVES2 to value 0"]
+        impl crate::Resettable for Drives2Spec {}
+    }
+    #[doc = "DRIVES3 (w) register accessor: 1: the line is driven; 0: it is an input, of lines 96 to 127, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`drives3::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@drives3`] module"]
+    #[doc(alias = "DRIVES3")]
+    pub type Drives3 = crate::Reg<drives3::Drives3Spec>;
+    #[doc = "1: the line is driven; 0: it is an input, of lines 96 to 127, one bit per line."]
+    pub mod drives3 {
+        #[doc = "Register `DRIVES3` writer"]
+        pub type W = crate::W<Drives3Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Drives3Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "1: the line is driven; 0: it is an input, of lines 96 to 127, one bit per line.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`drives3::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Drives3Spec;
+        impl crate::RegisterSpec for Drives3Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`drives3::W`](W) writer structure"]
+        impl crate::Writable for Drives3Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets DRIVES3 to value 0"]
+        impl crate::Resettable for Drives3Spec {}
+    }
+    #[doc = "STATUS (r) register accessor: State of the outputs.\n\nYou can [`read`](crate::Reg::read) this register and get [`status::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@status`] module"]
+    #[doc(alias = "STATUS")]
+    pub type Status = crate::Reg<status::StatusSpec>;
+    #[doc = "State of the outputs."]
+    pub mod status {
+        #[doc = "Register `STATUS` reader"]
+        pub type R = crate::R<StatusSpec>;
+        #[doc = "Field `idle` reader - 1: no route is being written."]
+        pub type IdleR = crate::BitReader;
+        #[doc = "Field `refused` reader - 1: the last word had no effect: the gate was open, or a route was being written."]
+        pub type RefusedR = crate::BitReader;
+        #[doc = "Field `live` reader - 1: lines carry their sources."]
+        pub type LiveR = crate::BitReader;
+        impl R {
+            #[doc = "Bit 0 - 1: no route is being written."]
+            #[inline(always)]
+            pub fn idle(&self) -> IdleR {
+                IdleR::new((self.bits & 1) != 0)
+            }
+            #[doc = "Bit 1 - 1: the last word had no effect: the gate was open, or a route was being written."]
+            #[inline(always)]
+            pub fn refused(&self) -> RefusedR {
+                RefusedR::new(((self.bits >> 1) & 1) != 0)
+            }
+            #[doc = "Bit 2 - 1: lines carry their sources."]
+            #[inline(always)]
+            pub fn live(&self) -> LiveR {
+                LiveR::new(((self.bits >> 2) & 1) != 0)
+            }
+        }
+        #[doc = "State of the outputs.\n\nYou can [`read`](crate::Reg::read) this register and get [`status::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct StatusSpec;
+        impl crate::RegisterSpec for StatusSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`status::R`](R) reader structure"]
+        impl crate::Readable for StatusSpec {}
+        #[doc = "`reset()` method sets STATUS to value 0"]
+        impl crate::Resettable for StatusSpec {}
+    }
+}
+#[doc = "Which header line each input of a core listens to. Boards without a multiplexer do not have it."]
+pub type PinmuxIn = crate::Periph<pinmux_in::RegisterBlock, 0xf002_3800>;
+impl core::fmt::Debug for PinmuxIn {
+    fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+        f.debug_struct("PinmuxIn").finish()
+    }
+}
+#[doc = "Which header line each input of a core listens to. Boards without a multiplexer do not have it."]
+pub mod pinmux_in {
+    #[repr(C)]
+    #[doc = "Register block"]
+    pub struct RegisterBlock {
+        route0: Route0,
+        route1: Route1,
+        route2: Route2,
+        route3: Route3,
+        route4: Route4,
+        route5: Route5,
+        route6: Route6,
+        route7: Route7,
+        route8: Route8,
+        route9: Route9,
+        route10: Route10,
+        route11: Route11,
+        route12: Route12,
+        route13: Route13,
+        route14: Route14,
+        route15: Route15,
+        route16: Route16,
+        route17: Route17,
+        route18: Route18,
+        route19: Route19,
+        route20: Route20,
+        route21: Route21,
+        route22: Route22,
+        route23: Route23,
+        route24: Route24,
+        route25: Route25,
+        route26: Route26,
+        route27: Route27,
+        route28: Route28,
+        route29: Route29,
+        route30: Route30,
+        route31: Route31,
+        status: Status,
+    }
+    impl RegisterBlock {
+        #[doc = "0x00 - Routes 0 to 3, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route0(&self) -> &Route0 {
+            &self.route0
+        }
+        #[doc = "0x04 - Routes 4 to 7, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route1(&self) -> &Route1 {
+            &self.route1
+        }
+        #[doc = "0x08 - Routes 8 to 11, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route2(&self) -> &Route2 {
+            &self.route2
+        }
+        #[doc = "0x0c - Routes 12 to 15, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route3(&self) -> &Route3 {
+            &self.route3
+        }
+        #[doc = "0x10 - Routes 16 to 19, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route4(&self) -> &Route4 {
+            &self.route4
+        }
+        #[doc = "0x14 - Routes 20 to 23, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route5(&self) -> &Route5 {
+            &self.route5
+        }
+        #[doc = "0x18 - Routes 24 to 27, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route6(&self) -> &Route6 {
+            &self.route6
+        }
+        #[doc = "0x1c - Routes 28 to 31, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route7(&self) -> &Route7 {
+            &self.route7
+        }
+        #[doc = "0x20 - Routes 32 to 35, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route8(&self) -> &Route8 {
+            &self.route8
+        }
+        #[doc = "0x24 - Routes 36 to 39, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route9(&self) -> &Route9 {
+            &self.route9
+        }
+        #[doc = "0x28 - Routes 40 to 43, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route10(&self) -> &Route10 {
+            &self.route10
+        }
+        #[doc = "0x2c - Routes 44 to 47, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route11(&self) -> &Route11 {
+            &self.route11
+        }
+        #[doc = "0x30 - Routes 48 to 51, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route12(&self) -> &Route12 {
+            &self.route12
+        }
+        #[doc = "0x34 - Routes 52 to 55, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route13(&self) -> &Route13 {
+            &self.route13
+        }
+        #[doc = "0x38 - Routes 56 to 59, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route14(&self) -> &Route14 {
+            &self.route14
+        }
+        #[doc = "0x3c - Routes 60 to 63, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route15(&self) -> &Route15 {
+            &self.route15
+        }
+        #[doc = "0x40 - Routes 64 to 67, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route16(&self) -> &Route16 {
+            &self.route16
+        }
+        #[doc = "0x44 - Routes 68 to 71, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route17(&self) -> &Route17 {
+            &self.route17
+        }
+        #[doc = "0x48 - Routes 72 to 75, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route18(&self) -> &Route18 {
+            &self.route18
+        }
+        #[doc = "0x4c - Routes 76 to 79, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route19(&self) -> &Route19 {
+            &self.route19
+        }
+        #[doc = "0x50 - Routes 80 to 83, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route20(&self) -> &Route20 {
+            &self.route20
+        }
+        #[doc = "0x54 - Routes 84 to 87, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route21(&self) -> &Route21 {
+            &self.route21
+        }
+        #[doc = "0x58 - Routes 88 to 91, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route22(&self) -> &Route22 {
+            &self.route22
+        }
+        #[doc = "0x5c - Routes 92 to 95, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route23(&self) -> &Route23 {
+            &self.route23
+        }
+        #[doc = "0x60 - Routes 96 to 99, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route24(&self) -> &Route24 {
+            &self.route24
+        }
+        #[doc = "0x64 - Routes 100 to 103, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route25(&self) -> &Route25 {
+            &self.route25
+        }
+        #[doc = "0x68 - Routes 104 to 107, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route26(&self) -> &Route26 {
+            &self.route26
+        }
+        #[doc = "0x6c - Routes 108 to 111, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route27(&self) -> &Route27 {
+            &self.route27
+        }
+        #[doc = "0x70 - Routes 112 to 115, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route28(&self) -> &Route28 {
+            &self.route28
+        }
+        #[doc = "0x74 - Routes 116 to 119, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route29(&self) -> &Route29 {
+            &self.route29
+        }
+        #[doc = "0x78 - Routes 120 to 123, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route30(&self) -> &Route30 {
+            &self.route30
+        }
+        #[doc = "0x7c - Routes 124 to 127, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+        #[inline(always)]
+        pub const fn route31(&self) -> &Route31 {
+            &self.route31
+        }
+        #[doc = "0x80 - State of the inputs."]
+        #[inline(always)]
+        pub const fn status(&self) -> &Status {
+            &self.status
+        }
+    }
+    #[doc = "ROUTE0 (w) register accessor: Routes 0 to 3, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route0::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route0`] module"]
+    #[doc(alias = "ROUTE0")]
+    pub type Route0 = crate::Reg<route0::Route0Spec>;
+    #[doc = "Routes 0 to 3, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route0 {
+        #[doc = "Register `ROUTE0` writer"]
+        pub type W = crate::W<Route0Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route0Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 0 to 3, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route0::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route0Spec;
+        impl crate::RegisterSpec for Route0Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route0::W`](W) writer structure"]
+        impl crate::Writable for Route0Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE0 to value 0"]
+        impl crate::Resettable for Route0Spec {}
+    }
+    #[doc = "ROUTE1 (w) register accessor: Routes 4 to 7, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route1::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route1`] module"]
+    #[doc(alias = "ROUTE1")]
+    pub type Route1 = crate::Reg<route1::Route1Spec>;
+    #[doc = "Routes 4 to 7, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route1 {
+        #[doc = "Register `ROUTE1` writer"]
+        pub type W = crate::W<Route1Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route1Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 4 to 7, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route1::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route1Spec;
+        impl crate::RegisterSpec for Route1Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route1::W`](W) writer structure"]
+        impl crate::Writable for Route1Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE1 to value 0"]
+        impl crate::Resettable for Route1Spec {}
+    }
+    #[doc = "ROUTE2 (w) register accessor: Routes 8 to 11, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route2::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route2`] module"]
+    #[doc(alias = "ROUTE2")]
+    pub type Route2 = crate::Reg<route2::Route2Spec>;
+    #[doc = "Routes 8 to 11, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route2 {
+        #[doc = "Register `ROUTE2` writer"]
+        pub type W = crate::W<Route2Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route2Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 8 to 11, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route2::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route2Spec;
+        impl crate::RegisterSpec for Route2Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route2::W`](W) writer structure"]
+        impl crate::Writable for Route2Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE2 to value 0"]
+        impl crate::Resettable for Route2Spec {}
+    }
+    #[doc = "ROUTE3 (w) register accessor: Routes 12 to 15, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route3::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route3`] module"]
+    #[doc(alias = "ROUTE3")]
+    pub type Route3 = crate::Reg<route3::Route3Spec>;
+    #[doc = "Routes 12 to 15, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route3 {
+        #[doc = "Register `ROUTE3` writer"]
+        pub type W = crate::W<Route3Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route3Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 12 to 15, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route3::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route3Spec;
+        impl crate::RegisterSpec for Route3Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route3::W`](W) writer structure"]
+        impl crate::Writable for Route3Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE3 to value 0"]
+        impl crate::Resettable for Route3Spec {}
+    }
+    #[doc = "ROUTE4 (w) register accessor: Routes 16 to 19, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route4::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route4`] module"]
+    #[doc(alias = "ROUTE4")]
+    pub type Route4 = crate::Reg<route4::Route4Spec>;
+    #[doc = "Routes 16 to 19, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route4 {
+        #[doc = "Register `ROUTE4` writer"]
+        pub type W = crate::W<Route4Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route4Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 16 to 19, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route4::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route4Spec;
+        impl crate::RegisterSpec for Route4Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route4::W`](W) writer structure"]
+        impl crate::Writable for Route4Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE4 to value 0"]
+        impl crate::Resettable for Route4Spec {}
+    }
+    #[doc = "ROUTE5 (w) register accessor: Routes 20 to 23, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route5::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route5`] module"]
+    #[doc(alias = "ROUTE5")]
+    pub type Route5 = crate::Reg<route5::Route5Spec>;
+    #[doc = "Routes 20 to 23, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route5 {
+        #[doc = "Register `ROUTE5` writer"]
+        pub type W = crate::W<Route5Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route5Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 20 to 23, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route5::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route5Spec;
+        impl crate::RegisterSpec for Route5Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route5::W`](W) writer structure"]
+        impl crate::Writable for Route5Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE5 to value 0"]
+        impl crate::Resettable for Route5Spec {}
+    }
+    #[doc = "ROUTE6 (w) register accessor: Routes 24 to 27, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route6::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route6`] module"]
+    #[doc(alias = "ROUTE6")]
+    pub type Route6 = crate::Reg<route6::Route6Spec>;
+    #[doc = "Routes 24 to 27, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route6 {
+        #[doc = "Register `ROUTE6` writer"]
+        pub type W = crate::W<Route6Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route6Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 24 to 27, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route6::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route6Spec;
+        impl crate::RegisterSpec for Route6Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route6::W`](W) writer structure"]
+        impl crate::Writable for Route6Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE6 to value 0"]
+        impl crate::Resettable for Route6Spec {}
+    }
+    #[doc = "ROUTE7 (w) register accessor: Routes 28 to 31, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route7::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route7`] module"]
+    #[doc(alias = "ROUTE7")]
+    pub type Route7 = crate::Reg<route7::Route7Spec>;
+    #[doc = "Routes 28 to 31, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route7 {
+        #[doc = "Register `ROUTE7` writer"]
+        pub type W = crate::W<Route7Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route7Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 28 to 31, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route7::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route7Spec;
+        impl crate::RegisterSpec for Route7Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route7::W`](W) writer structure"]
+        impl crate::Writable for Route7Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE7 to value 0"]
+        impl crate::Resettable for Route7Spec {}
+    }
+    #[doc = "ROUTE8 (w) register accessor: Routes 32 to 35, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route8::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route8`] module"]
+    #[doc(alias = "ROUTE8")]
+    pub type Route8 = crate::Reg<route8::Route8Spec>;
+    #[doc = "Routes 32 to 35, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route8 {
+        #[doc = "Register `ROUTE8` writer"]
+        pub type W = crate::W<Route8Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route8Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 32 to 35, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route8::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route8Spec;
+        impl crate::RegisterSpec for Route8Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route8::W`](W) writer structure"]
+        impl crate::Writable for Route8Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE8 to value 0"]
+        impl crate::Resettable for Route8Spec {}
+    }
+    #[doc = "ROUTE9 (w) register accessor: Routes 36 to 39, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route9::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route9`] module"]
+    #[doc(alias = "ROUTE9")]
+    pub type Route9 = crate::Reg<route9::Route9Spec>;
+    #[doc = "Routes 36 to 39, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route9 {
+        #[doc = "Register `ROUTE9` writer"]
+        pub type W = crate::W<Route9Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route9Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 36 to 39, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route9::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route9Spec;
+        impl crate::RegisterSpec for Route9Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route9::W`](W) writer structure"]
+        impl crate::Writable for Route9Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE9 to value 0"]
+        impl crate::Resettable for Route9Spec {}
+    }
+    #[doc = "ROUTE10 (w) register accessor: Routes 40 to 43, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route10::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route10`] module"]
+    #[doc(alias = "ROUTE10")]
+    pub type Route10 = crate::Reg<route10::Route10Spec>;
+    #[doc = "Routes 40 to 43, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route10 {
+        #[doc = "Register `ROUTE10` writer"]
+        pub type W = crate::W<Route10Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route10Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 40 to 43, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route10::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route10Spec;
+        impl crate::RegisterSpec for Route10Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route10::W`](W) writer structure"]
+        impl crate::Writable for Route10Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE10 to value 0"]
+        impl crate::Resettable for Route10Spec {}
+    }
+    #[doc = "ROUTE11 (w) register accessor: Routes 44 to 47, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route11::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route11`] module"]
+    #[doc(alias = "ROUTE11")]
+    pub type Route11 = crate::Reg<route11::Route11Spec>;
+    #[doc = "Routes 44 to 47, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route11 {
+        #[doc = "Register `ROUTE11` writer"]
+        pub type W = crate::W<Route11Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route11Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 44 to 47, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route11::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route11Spec;
+        impl crate::RegisterSpec for Route11Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route11::W`](W) writer structure"]
+        impl crate::Writable for Route11Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE11 to value 0"]
+        impl crate::Resettable for Route11Spec {}
+    }
+    #[doc = "ROUTE12 (w) register accessor: Routes 48 to 51, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route12::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route12`] module"]
+    #[doc(alias = "ROUTE12")]
+    pub type Route12 = crate::Reg<route12::Route12Spec>;
+    #[doc = "Routes 48 to 51, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route12 {
+        #[doc = "Register `ROUTE12` writer"]
+        pub type W = crate::W<Route12Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route12Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 48 to 51, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route12::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route12Spec;
+        impl crate::RegisterSpec for Route12Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route12::W`](W) writer structure"]
+        impl crate::Writable for Route12Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE12 to value 0"]
+        impl crate::Resettable for Route12Spec {}
+    }
+    #[doc = "ROUTE13 (w) register accessor: Routes 52 to 55, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route13::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route13`] module"]
+    #[doc(alias = "ROUTE13")]
+    pub type Route13 = crate::Reg<route13::Route13Spec>;
+    #[doc = "Routes 52 to 55, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route13 {
+        #[doc = "Register `ROUTE13` writer"]
+        pub type W = crate::W<Route13Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route13Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 52 to 55, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route13::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route13Spec;
+        impl crate::RegisterSpec for Route13Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route13::W`](W) writer structure"]
+        impl crate::Writable for Route13Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE13 to value 0"]
+        impl crate::Resettable for Route13Spec {}
+    }
+    #[doc = "ROUTE14 (w) register accessor: Routes 56 to 59, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route14::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route14`] module"]
+    #[doc(alias = "ROUTE14")]
+    pub type Route14 = crate::Reg<route14::Route14Spec>;
+    #[doc = "Routes 56 to 59, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route14 {
+        #[doc = "Register `ROUTE14` writer"]
+        pub type W = crate::W<Route14Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route14Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 56 to 59, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route14::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route14Spec;
+        impl crate::RegisterSpec for Route14Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route14::W`](W) writer structure"]
+        impl crate::Writable for Route14Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE14 to value 0"]
+        impl crate::Resettable for Route14Spec {}
+    }
+    #[doc = "ROUTE15 (w) register accessor: Routes 60 to 63, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route15::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route15`] module"]
+    #[doc(alias = "ROUTE15")]
+    pub type Route15 = crate::Reg<route15::Route15Spec>;
+    #[doc = "Routes 60 to 63, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route15 {
+        #[doc = "Register `ROUTE15` writer"]
+        pub type W = crate::W<Route15Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route15Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 60 to 63, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route15::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route15Spec;
+        impl crate::RegisterSpec for Route15Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route15::W`](W) writer structure"]
+        impl crate::Writable for Route15Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE15 to value 0"]
+        impl crate::Resettable for Route15Spec {}
+    }
+    #[doc = "ROUTE16 (w) register accessor: Routes 64 to 67, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route16::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route16`] module"]
+    #[doc(alias = "ROUTE16")]
+    pub type Route16 = crate::Reg<route16::Route16Spec>;
+    #[doc = "Routes 64 to 67, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route16 {
+        #[doc = "Register `ROUTE16` writer"]
+        pub type W = crate::W<Route16Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route16Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 64 to 67, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route16::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route16Spec;
+        impl crate::RegisterSpec for Route16Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route16::W`](W) writer structure"]
+        impl crate::Writable for Route16Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE16 to value 0"]
+        impl crate::Resettable for Route16Spec {}
+    }
+    #[doc = "ROUTE17 (w) register accessor: Routes 68 to 71, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route17::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route17`] module"]
+    #[doc(alias = "ROUTE17")]
+    pub type Route17 = crate::Reg<route17::Route17Spec>;
+    #[doc = "Routes 68 to 71, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route17 {
+        #[doc = "Register `ROUTE17` writer"]
+        pub type W = crate::W<Route17Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route17Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 68 to 71, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route17::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route17Spec;
+        impl crate::RegisterSpec for Route17Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route17::W`](W) writer structure"]
+        impl crate::Writable for Route17Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE17 to value 0"]
+        impl crate::Resettable for Route17Spec {}
+    }
+    #[doc = "ROUTE18 (w) register accessor: Routes 72 to 75, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route18::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route18`] module"]
+    #[doc(alias = "ROUTE18")]
+    pub type Route18 = crate::Reg<route18::Route18Spec>;
+    #[doc = "Routes 72 to 75, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route18 {
+        #[doc = "Register `ROUTE18` writer"]
+        pub type W = crate::W<Route18Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route18Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 72 to 75, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route18::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route18Spec;
+        impl crate::RegisterSpec for Route18Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route18::W`](W) writer structure"]
+        impl crate::Writable for Route18Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE18 to value 0"]
+        impl crate::Resettable for Route18Spec {}
+    }
+    #[doc = "ROUTE19 (w) register accessor: Routes 76 to 79, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route19::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route19`] module"]
+    #[doc(alias = "ROUTE19")]
+    pub type Route19 = crate::Reg<route19::Route19Spec>;
+    #[doc = "Routes 76 to 79, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route19 {
+        #[doc = "Register `ROUTE19` writer"]
+        pub type W = crate::W<Route19Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route19Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 76 to 79, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route19::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route19Spec;
+        impl crate::RegisterSpec for Route19Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route19::W`](W) writer structure"]
+        impl crate::Writable for Route19Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE19 to value 0"]
+        impl crate::Resettable for Route19Spec {}
+    }
+    #[doc = "ROUTE20 (w) register accessor: Routes 80 to 83, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route20::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route20`] module"]
+    #[doc(alias = "ROUTE20")]
+    pub type Route20 = crate::Reg<route20::Route20Spec>;
+    #[doc = "Routes 80 to 83, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route20 {
+        #[doc = "Register `ROUTE20` writer"]
+        pub type W = crate::W<Route20Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route20Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 80 to 83, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route20::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route20Spec;
+        impl crate::RegisterSpec for Route20Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route20::W`](W) writer structure"]
+        impl crate::Writable for Route20Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE20 to value 0"]
+        impl crate::Resettable for Route20Spec {}
+    }
+    #[doc = "ROUTE21 (w) register accessor: Routes 84 to 87, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route21::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route21`] module"]
+    #[doc(alias = "ROUTE21")]
+    pub type Route21 = crate::Reg<route21::Route21Spec>;
+    #[doc = "Routes 84 to 87, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route21 {
+        #[doc = "Register `ROUTE21` writer"]
+        pub type W = crate::W<Route21Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route21Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 84 to 87, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route21::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route21Spec;
+        impl crate::RegisterSpec for Route21Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route21::W`](W) writer structure"]
+        impl crate::Writable for Route21Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE21 to value 0"]
+        impl crate::Resettable for Route21Spec {}
+    }
+    #[doc = "ROUTE22 (w) register accessor: Routes 88 to 91, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route22::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route22`] module"]
+    #[doc(alias = "ROUTE22")]
+    pub type Route22 = crate::Reg<route22::Route22Spec>;
+    #[doc = "Routes 88 to 91, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route22 {
+        #[doc = "Register `ROUTE22` writer"]
+        pub type W = crate::W<Route22Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route22Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 88 to 91, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route22::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route22Spec;
+        impl crate::RegisterSpec for Route22Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route22::W`](W) writer structure"]
+        impl crate::Writable for Route22Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE22 to value 0"]
+        impl crate::Resettable for Route22Spec {}
+    }
+    #[doc = "ROUTE23 (w) register accessor: Routes 92 to 95, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route23::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route23`] module"]
+    #[doc(alias = "ROUTE23")]
+    pub type Route23 = crate::Reg<route23::Route23Spec>;
+    #[doc = "Routes 92 to 95, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route23 {
+        #[doc = "Register `ROUTE23` writer"]
+        pub type W = crate::W<Route23Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route23Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 92 to 95, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route23::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route23Spec;
+        impl crate::RegisterSpec for Route23Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route23::W`](W) writer structure"]
+        impl crate::Writable for Route23Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE23 to value 0"]
+        impl crate::Resettable for Route23Spec {}
+    }
+    #[doc = "ROUTE24 (w) register accessor: Routes 96 to 99, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route24::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route24`] module"]
+    #[doc(alias = "ROUTE24")]
+    pub type Route24 = crate::Reg<route24::Route24Spec>;
+    #[doc = "Routes 96 to 99, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route24 {
+        #[doc = "Register `ROUTE24` writer"]
+        pub type W = crate::W<Route24Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route24Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 96 to 99, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route24::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route24Spec;
+        impl crate::RegisterSpec for Route24Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route24::W`](W) writer structure"]
+        impl crate::Writable for Route24Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE24 to value 0"]
+        impl crate::Resettable for Route24Spec {}
+    }
+    #[doc = "ROUTE25 (w) register accessor: Routes 100 to 103, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route25::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route25`] module"]
+    #[doc(alias = "ROUTE25")]
+    pub type Route25 = crate::Reg<route25::Route25Spec>;
+    #[doc = "Routes 100 to 103, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route25 {
+        #[doc = "Register `ROUTE25` writer"]
+        pub type W = crate::W<Route25Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route25Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 100 to 103, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route25::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route25Spec;
+        impl crate::RegisterSpec for Route25Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route25::W`](W) writer structure"]
+        impl crate::Writable for Route25Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE25 to value 0"]
+        impl crate::Resettable for Route25Spec {}
+    }
+    #[doc = "ROUTE26 (w) register accessor: Routes 104 to 107, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route26::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route26`] module"]
+    #[doc(alias = "ROUTE26")]
+    pub type Route26 = crate::Reg<route26::Route26Spec>;
+    #[doc = "Routes 104 to 107, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route26 {
+        #[doc = "Register `ROUTE26` writer"]
+        pub type W = crate::W<Route26Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route26Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 104 to 107, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route26::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route26Spec;
+        impl crate::RegisterSpec for Route26Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route26::W`](W) writer structure"]
+        impl crate::Writable for Route26Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE26 to value 0"]
+        impl crate::Resettable for Route26Spec {}
+    }
+    #[doc = "ROUTE27 (w) register accessor: Routes 108 to 111, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route27::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route27`] module"]
+    #[doc(alias = "ROUTE27")]
+    pub type Route27 = crate::Reg<route27::Route27Spec>;
+    #[doc = "Routes 108 to 111, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route27 {
+        #[doc = "Register `ROUTE27` writer"]
+        pub type W = crate::W<Route27Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route27Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 108 to 111, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route27::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route27Spec;
+        impl crate::RegisterSpec for Route27Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route27::W`](W) writer structure"]
+        impl crate::Writable for Route27Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE27 to value 0"]
+        impl crate::Resettable for Route27Spec {}
+    }
+    #[doc = "ROUTE28 (w) register accessor: Routes 112 to 115, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route28::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route28`] module"]
+    #[doc(alias = "ROUTE28")]
+    pub type Route28 = crate::Reg<route28::Route28Spec>;
+    #[doc = "Routes 112 to 115, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route28 {
+        #[doc = "Register `ROUTE28` writer"]
+        pub type W = crate::W<Route28Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route28Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 112 to 115, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route28::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route28Spec;
+        impl crate::RegisterSpec for Route28Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route28::W`](W) writer structure"]
+        impl crate::Writable for Route28Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE28 to value 0"]
+        impl crate::Resettable for Route28Spec {}
+    }
+    #[doc = "ROUTE29 (w) register accessor: Routes 116 to 119, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route29::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route29`] module"]
+    #[doc(alias = "ROUTE29")]
+    pub type Route29 = crate::Reg<route29::Route29Spec>;
+    #[doc = "Routes 116 to 119, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route29 {
+        #[doc = "Register `ROUTE29` writer"]
+        pub type W = crate::W<Route29Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route29Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 116 to 119, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route29::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route29Spec;
+        impl crate::RegisterSpec for Route29Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route29::W`](W) writer structure"]
+        impl crate::Writable for Route29Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE29 to value 0"]
+        impl crate::Resettable for Route29Spec {}
+    }
+    #[doc = "ROUTE30 (w) register accessor: Routes 120 to 123, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route30::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route30`] module"]
+    #[doc(alias = "ROUTE30")]
+    pub type Route30 = crate::Reg<route30::Route30Spec>;
+    #[doc = "Routes 120 to 123, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route30 {
+        #[doc = "Register `ROUTE30` writer"]
+        pub type W = crate::W<Route30Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route30Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 120 to 123, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route30::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route30Spec;
+        impl crate::RegisterSpec for Route30Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route30::W`](W) writer structure"]
+        impl crate::Writable for Route30Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE30 to value 0"]
+        impl crate::Resettable for Route30Spec {}
+    }
+    #[doc = "ROUTE31 (w) register accessor: Routes 124 to 127, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route31::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@route31`] module"]
+    #[doc(alias = "ROUTE31")]
+    pub type Route31 = crate::Reg<route31::Route31Spec>;
+    #[doc = "Routes 124 to 127, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`."]
+    pub mod route31 {
+        #[doc = "Register `ROUTE31` writer"]
+        pub type W = crate::W<Route31Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Route31Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Routes 124 to 127, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none, bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`route31::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Route31Spec;
+        impl crate::RegisterSpec for Route31Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`route31::W`](W) writer structure"]
+        impl crate::Writable for Route31Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ROUTE31 to value 0"]
+        impl crate::Resettable for Route31Spec {}
+    }
+    #[doc = "STATUS (r) register accessor: State of the inputs.\n\nYou can [`read`](crate::Reg::read) this register and get [`status::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@status`] module"]
+    #[doc(alias = "STATUS")]
+    pub type Status = crate::Reg<status::StatusSpec>;
+    #[doc = "State of the inputs."]
+    pub mod status {
+        #[doc = "Register `STATUS` reader"]
+        pub type R = crate::R<StatusSpec>;
+        #[doc = "Field `idle` reader - 1: no route is being written."]
+        pub type IdleR = crate::BitReader;
+        #[doc = "Field `refused` reader - 1: the last word had no effect: the gate was open, or a route was being written."]
+        pub type RefusedR = crate::BitReader;
+        #[doc = "Field `ready` reader - 1: a route was written, and all of the last word's are complete."]
+        pub type ReadyR = crate::BitReader;
+        impl R {
+            #[doc = "Bit 0 - 1: no route is being written."]
+            #[inline(always)]
+            pub fn idle(&self) -> IdleR {
+                IdleR::new((self.bits & 1) != 0)
+            }
+            #[doc = "Bit 1 - 1: the last word had no effect: the gate was open, or a route was being written."]
+            #[inline(always)]
+            pub fn refused(&self) -> RefusedR {
+                RefusedR::new(((self.bits >> 1) & 1) != 0)
+            }
+            #[doc = "Bit 2 - 1: a route was written, and all of the last word's are complete."]
+            #[inline(always)]
+            pub fn ready(&self) -> ReadyR {
+                ReadyR::new(((self.bits >> 2) & 1) != 0)
+            }
+        }
+        #[doc = "State of the inputs.\n\nYou can [`read`](crate::Reg::read) this register and get [`status::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct StatusSpec;
+        impl crate::RegisterSpec for StatusSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`status::R`](R) reader structure"]
+        impl crate::Readable for StatusSpec {}
+        #[doc = "`reset()` method sets STATUS to value 0"]
+        impl crate::Resettable for StatusSpec {}
+    }
+}
 #[unsafe(no_mangle)]
 static mut DEVICE_PERIPHERALS: bool = false;
 #[doc = r" All the peripherals."]
@@ -18118,6 +20661,10 @@ pub struct Peripherals {
     pub fast_path: FastPath,
     #[doc = "GPIO_HIGH"]
     pub gpio_high: GpioHigh,
+    #[doc = "PINMUX_OUT"]
+    pub pinmux_out: PinmuxOut,
+    #[doc = "PINMUX_IN"]
+    pub pinmux_in: PinmuxIn,
 }
 impl Peripherals {
     #[doc = r" Returns all the peripherals *once*."]
@@ -18206,6 +20753,8 @@ impl Peripherals {
             pads: unsafe { Pads::steal() },
             fast_path: unsafe { FastPath::steal() },
             gpio_high: unsafe { GpioHigh::steal() },
+            pinmux_out: unsafe { PinmuxOut::steal() },
+            pinmux_in: unsafe { PinmuxIn::steal() },
         }
     }
 }

@@ -66,6 +66,10 @@ pub const OBSTACLE_ABI: u32 = 1 << 0;
 /// Obstacle to arming: a flash operation is running; it ends within seconds.
 pub const OBSTACLE_FLASH: u32 = 1 << 1;
 
+/// Obstacle to arming: a configuration of the pins is stored, and it is not one for this board
+/// ([`crate::map::FLASH_PINS`] says why not).
+pub const OBSTACLE_PINS: u32 = 1 << 2;
+
 /// Feature: a key is set, and a client has to prove that it has the key before it may change
 /// anything ([`crate::auth`]). The bits below 16 are the gateware's.
 pub const FEATURE_KEY: u32 = 1 << 31;
@@ -76,6 +80,10 @@ pub const FEATURE_JOBS: u32 = ident::FEATURES_JOBS;
 /// A feature: the gateware reads the pads it drives ([`crate::map::PADS`]) and counts the Ethernet
 /// clock ([`crate::map::ETH_BEATS`]), `ident.features` bit 1. 0 in gateware from before them.
 pub const FEATURE_READBACK: u32 = ident::FEATURES_READBACK;
+
+/// A feature: the functions of the pins are configured ([`crate::pins`]), `ident.features` bit 2.
+/// Inputs and outputs have the numbers of their pins, and only those the blob names are there.
+pub const FEATURE_PINS: u32 = ident::FEATURES_PINS;
 
 /// The description of a board, which a client reads first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -7,6 +7,7 @@
 //! slot A        0x010000..0x100000        0x010000..0x0c0000     an image, its meta page in the last sector
 //! slot B        0x100000..0x1f0000        0x0c0000..0x170000     the same
 //! settings      0x1f0000, 0x1f1000        0x170000, 0x171000     two copies, a sector each
+//! pins          0x1f2000, 0x1f8000        0x172000, 0x178000     two copies of 24 KiB (`pins`)
 //! golden        0x300000..0x3ff000        0x180000..0x1ff000     as a slot; protected by the flash, too;
 //!                                                                without the services in 2 MiB
 //! jump page     the last 256 bytes                               to golden, when nothing at 0 loads
@@ -21,8 +22,8 @@
 //! datagram: words take effect in order.
 //!
 //! `Read` and `Crc` reach everything but the settings, which contain the key. `EraseSector`,
-//! `EraseBlock` and `Program` reach only the slot that is not selected. The rest of the flash
-//! changes only by `Select`, `SaveSettings`, `ForgetSettings` and `Protect`.
+//! `EraseBlock` and `Program` reach only the slot that is not selected, and the copy of the pins'
+//! configuration that is not in force. The rest of the flash changes only by `Select`, `SaveSettings`, `ForgetSettings` and `Protect`.
 
 use crate::codes::codes;
 
@@ -328,6 +329,15 @@ impl Layout {
         self.settings + (copy & 1) * SECTOR
     }
 
+    /// The area of a copy of the pins' configuration, 0 or 1.
+    pub const fn pins_copy(&self, copy: u32) -> Area {
+        let start = self.settings + 2 * SECTOR + (copy & 1) * crate::pins::BYTES_MAX;
+        Area {
+            start,
+            end: start + crate::pins::BYTES_MAX,
+        }
+    }
+
     /// Page number `n` of the stub sectors.
     pub const fn stub(&self, n: u32) -> u32 {
         Self::STUBS + n * PAGE
@@ -389,6 +399,13 @@ mod tests {
                 layout.golden,
                 jump,
             ];
+            for copy in [0, 1] {
+                let pins = layout.pins_copy(copy);
+                assert!(pins.start >= settings.end && pins.end <= layout.golden.start);
+                assert!(pins.start % SECTOR == 0 && pins.end % SECTOR == 0);
+                assert!(pins.end <= layout.protected());
+            }
+            assert_eq!(layout.pins_copy(0).end, layout.pins_copy(1).start);
             for pair in areas.windows(2) {
                 assert!(pair[0].end <= pair[1].start, "{pair:x?}");
             }

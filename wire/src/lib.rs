@@ -50,6 +50,7 @@ pub mod layout;
 pub mod map;
 pub mod mdns;
 pub mod name;
+pub mod pins;
 pub mod refusal;
 pub mod regmap;
 pub mod services;

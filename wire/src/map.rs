@@ -300,6 +300,8 @@ pub const FLASH_LINK: u32 = FLASH + 0x30;
 pub const FLASH_PROTECTED: u32 = FLASH + 0x34;
 /// The address in force, which DHCP may have given.
 pub const FLASH_IP: u32 = FLASH + 0x38;
+/// The configuration of the pins ([`crate::pins::Loaded`]).
+pub const FLASH_PINS: u32 = FLASH + 0x3c;
 /// One page, bytes packed big-endian: for `Program` and `SaveSettings`, from `Read`.
 pub const FLASH_BUFFER: u32 = FLASH + 0x100;
 /// Words of the buffer.

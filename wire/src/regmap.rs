@@ -11,7 +11,7 @@
 
 /// ABI number: first 32 bits of the SHA-256 of the normalised register map and of the
 /// exchange's layout (`wire/layout.txt`).
-pub const ABI: u32 = 0x96fced1f;
+pub const ABI: u32 = 0x8a429d85;
 /// The value of [`ident::MAGIC`]: "FCnC".
 pub const IDENT_MAGIC: u32 = 0x46436e43;
 /// First byte of the image.
@@ -228,7 +228,7 @@ pub mod ident {
     /// First byte of the page.
     pub const BASE: usize = 0xf0004000;
     /// Registers on the page.
-    pub const WORDS: usize = 8;
+    pub const WORDS: usize = 10;
     /// Always 0x46436e43 ("FCnC"): this is FerroCNC gateware and this map applies. (ro)
     pub const MAGIC: usize = 0;
     /// ABI number: first 32 bits of the SHA-256 of the normalised register map and of the
@@ -274,8 +274,15 @@ pub mod ident {
     pub const FEATURES_JOBS: u32 = 1 << 0;
     /// 1: `pads` and `timebase.eth_beats` are there. 0 in gateware from before them.
     pub const FEATURES_READBACK: u32 = 1 << 1;
+    /// 1: a pin's function is configured: `pinmux_out` and `pinmux_in` are there, the board info
+    /// can be written, and inputs and outputs have the numbers of their pins.
+    pub const FEATURES_PINS: u32 = 1 << 2;
     /// Length of the board info blob at 0x90000000 in 32-bit words. (ro)
     pub const BOARD_ROM_WORDS: usize = 7;
+    /// Header lines behind the multiplexer, a count; 0 without one. (ro)
+    pub const PINS: usize = 8;
+    /// CRC-32 of the name of the platform the image is for; 0 without a multiplexer. (ro)
+    pub const PLATFORM: usize = 9;
 }
 
 /// The 64-bit wall clock and the two strobes that make all channels act on one clock.
@@ -1061,4 +1068,59 @@ pub mod gpio_high {
     /// Level of each input pin two clocks ago (synchronised, not debounced), one bit per input.
     /// (ro)
     pub const RAW_NOW: usize = 4;
+}
+
+/// What each header line carries if it is an output (docs/cores/pinmux.md). Boards without a
+/// multiplexer do not have it.
+pub mod pinmux_out {
+    /// Number of the page.
+    pub const PAGE: u32 = 70;
+    /// First byte of the page.
+    pub const BASE: usize = 0xf0023000;
+    /// Registers on the page.
+    pub const WORDS: usize = 45;
+    /// Routes 0 to 3, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none,
+    /// bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`. The next is
+    /// 1 word on. (wo)
+    pub const ROUTE0: usize = 0;
+    /// Levels while the gate is closed, of lines 0 to 31, one bit per line. The next is 1 word on.
+    /// (wo)
+    pub const SAFE0: usize = 32;
+    /// 1: the level stays as it was when the gate closed, of lines 0 to 31, one bit per line. The
+    /// next is 1 word on. (wo)
+    pub const KEEPS0: usize = 36;
+    /// 1: the line is driven; 0: it is an input, of lines 0 to 31, one bit per line. The next is 1
+    /// word on. (wo)
+    pub const DRIVES0: usize = 40;
+    /// State of the outputs. (ro)
+    pub const STATUS: usize = 44;
+    /// 1: no route is being written.
+    pub const STATUS_IDLE: u32 = 1 << 0;
+    /// 1: the last word had no effect: the gate was open, or a route was being written.
+    pub const STATUS_REFUSED: u32 = 1 << 1;
+    /// 1: lines carry their sources.
+    pub const STATUS_LIVE: u32 = 1 << 2;
+}
+
+/// Which header line each input of a core listens to. Boards without a multiplexer do not have
+/// it.
+pub mod pinmux_in {
+    /// Number of the page.
+    pub const PAGE: u32 = 71;
+    /// First byte of the page.
+    pub const BASE: usize = 0xf0023800;
+    /// Registers on the page.
+    pub const WORDS: usize = 33;
+    /// Routes 0 to 3, a byte each, the first one lowest: bits 6:0 the source, 124 to 127 for none,
+    /// bit 7 inverts. Takes 16 clocks; only while the gate is closed and `status.idle`. The next is
+    /// 1 word on. (wo)
+    pub const ROUTE0: usize = 0;
+    /// State of the inputs. (ro)
+    pub const STATUS: usize = 32;
+    /// 1: no route is being written.
+    pub const STATUS_IDLE: u32 = 1 << 0;
+    /// 1: the last word had no effect: the gate was open, or a route was being written.
+    pub const STATUS_REFUSED: u32 = 1 << 1;
+    /// 1: a route was written, and all of the last word's are complete.
+    pub const STATUS_READY: u32 = 1 << 2;
 }
