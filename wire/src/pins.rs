@@ -6,10 +6,11 @@
 //! word  0 "FPIN"                       6 CRC-32 of the platform's name    12..44 routes of the outputs
 //!       1 version, 1                   7 used: stepgens | encoders << 8   44..48 driven lines
 //!       2 bytes, a multiple of 4               | pwms << 16               48..80 routes of the inputs
-//!       3 CRC-32 from word 4 on        8 used: inputs | outputs << 8      80..   the description, then
+//!       3 CRC-32 from word 4 on        8 used: inputs | outputs << 8      84..   the description, then
 //!       4 generation                   9 bytes of the description                the file's text
 //!       5 built: as word 7,           10 bytes of the file's text
-//!         lines << 24                 11 zero
+//!         lines << 24                 11 zero                            80..84 safe levels of the
+//!                                                                             outputs, and inversions
 //! ```
 //!
 //! Big-endian words. A route is a byte, four in a word, the first one lowest: bits 6:0 the source,
@@ -31,7 +32,7 @@ pub const VERSION: u32 = 1;
 pub const BYTES_MAX: u32 = 0x6000;
 
 /// Words before the description.
-pub const HEAD_WORDS: usize = 80;
+pub const HEAD_WORDS: usize = 84;
 /// Where the generation is, in words.
 pub const GENERATION_AT: usize = 4;
 /// Where the routes of the outputs are, in words.
@@ -40,6 +41,9 @@ pub const OUTPUTS_AT: usize = 12;
 pub const DRIVES_AT: usize = 44;
 /// Where the routes of the inputs are, in words.
 pub const INPUTS_AT: usize = 48;
+/// Where the levels of the outputs are, in words: safe levels of outputs 0 to 31 and 32 to 63, then
+/// which of them are inverted. As [`crate::map::BoardConfig`] has them.
+pub const LEVELS_AT: usize = 80;
 /// Words of the routes of either direction.
 pub const ROUTE_WORDS: usize = 32;
 /// Most header lines.
@@ -281,7 +285,12 @@ impl Head {
 
     /// Routes of the inputs.
     pub fn inputs(&self) -> &[u32] {
-        self.0.get(INPUTS_AT..HEAD_WORDS).unwrap_or(&[])
+        self.0.get(INPUTS_AT..LEVELS_AT).unwrap_or(&[])
+    }
+
+    /// Safe levels of the outputs, and which of them are inverted: two words each.
+    pub fn levels(&self) -> &[u32] {
+        self.0.get(LEVELS_AT..HEAD_WORDS).unwrap_or(&[])
     }
 
     /// Whether an image with these counts, of the platform whose name has this CRC-32, can be
@@ -403,6 +412,7 @@ mod tests {
         let mut words = [u32::from_le_bytes([NONE; 4]); HEAD_WORDS];
         words[..OUTPUTS_AT].fill(0);
         words[DRIVES_AT..INPUTS_AT].fill(0);
+        words[LEVELS_AT..].fill(0);
         words[..3].copy_from_slice(&[MAGIC, VERSION, 4 * HEAD_WORDS as u32]);
         words[5..8].copy_from_slice(&[EIGHT.to_word(), 7, 0x0002_0102]);
         words[8] = 56 | 56 << 8;
@@ -521,6 +531,6 @@ mod tests {
             head.0[2] = bytes;
             assert_eq!(head.bytes(), None, "{bytes}");
         }
-        assert_eq!(empty().bytes(), Some(320));
+        assert_eq!(empty().bytes(), Some(336));
     }
 }
