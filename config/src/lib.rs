@@ -12,6 +12,7 @@ pub mod error;
 pub mod export;
 pub mod first_light;
 pub mod hal;
+pub mod image;
 pub mod import;
 pub mod new;
 pub mod peers;

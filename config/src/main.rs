@@ -1,21 +1,26 @@
 //! `ferrocnc-config`: the commands of the reader that the build needs. Users run `ferrocnc config`.
 
-use ferrocnc_config::source::read_text;
-use ferrocnc_config::{Board, read_board_text};
+use ferrocnc_config::board::Platforms;
+use ferrocnc_config::image::{Counts, export_image};
+use ferrocnc_config::source::{Folder, read_text};
+use ferrocnc_config::{Board, Platform, read_board_text};
 use std::io::Write;
 use std::path::Path;
 use std::process::ExitCode;
 
 const USAGE: &str =
     "usage: ferrocnc-config export BOARD.toml [--ip A.B.C.D] [--port N] [--mac aa:bb:cc:dd:ee:ff]
+       ferrocnc-config export-platform NAME --channels S/E/P [--jobs N]
 
-the configuration as JSON, on standard output; what is named here stands in for what the file says";
+the configuration, or the image of a platform, as JSON, on standard output; what is named here
+stands in for what the file says";
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let done = match words.as_slice() {
         ["export", board, network @ ..] => export(Path::new(board), network),
+        ["export-platform", name, "--channels", counts, jobs @ ..] => image(name, counts, jobs),
         ["schema", folder] => schema(Path::new(folder)),
         _ => Err(USAGE.to_owned()),
     };
@@ -32,6 +37,34 @@ fn export(path: &Path, network: &[&str]) -> Result<(), String> {
     let board = read(path, network).map_err(|error| error.to_string())?;
     let json = ferrocnc_config::export::export(&board).map_err(|error| error.to_string())?;
     // The reader of our output may have closed the pipe.
+    let _ = writeln!(std::io::stdout(), "{json:#}");
+    Ok(())
+}
+
+fn image(name: &str, counts: &str, jobs: &[&str]) -> Result<(), String> {
+    let counts = Counts::read(counts)?;
+    let jobs = match jobs {
+        [] => counts.jobs(),
+        ["--jobs", "0"] => 0,
+        ["--jobs", axes] if axes.parse() == Ok(counts.jobs()) => counts.jobs(),
+        ["--jobs", axes] => {
+            return Err(format!(
+                "--jobs {axes}: an image with these channels has jobs of {} axes, or of none; leave it out, or write 0",
+                counts.jobs()
+            ));
+        }
+        _ => return Err(USAGE.to_owned()),
+    };
+    let platforms = Folder::beside(Path::new("boards/-"));
+    let Some((file, text)) = platforms.text(name) else {
+        return Err(format!(
+            "{name}: is not a platform we know; write one of {}",
+            platforms.names().join(", ")
+        ));
+    };
+    let json = Platform::read(&file, name, &text)
+        .and_then(|platform| export_image(&platform, counts, jobs))
+        .map_err(|error| error.to_string())?;
     let _ = writeln!(std::io::stdout(), "{json:#}");
     Ok(())
 }

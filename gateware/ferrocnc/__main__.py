@@ -6,7 +6,7 @@ import logging
 import sys
 from pathlib import Path
 
-from .board import BoardError, read_board
+from .board import BoardError, read_board, read_image
 from .tools import ToolError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,7 +20,10 @@ def main(argv=None):
     p = sub.add_parser("elaborate", help="write the Verilog of a board and its companion files")
     p.add_argument("--target", choices=("sim", "board", "cores"), required=True,
                    help="sim: the SoC with plain ports; board: the SoC on its FPGA; cores: cores and banks behind a bare CSR bus")
-    p.add_argument("--board", required=True, help="boards/NAME.toml")
+    which = p.add_mutually_exclusive_group(required=True)
+    which.add_argument("--board", help="boards/NAME.toml")
+    which.add_argument("--platform", help="the image of boards/platforms/NAME.toml: its pins are configured on the board")
+    p.add_argument("--channels", default="8/8/8", help="of an image: step generators, encoders, PWM generators (default: 8/8/8)")
     p.add_argument("--out", required=True)
     p.add_argument("--without-pins", action="store_true", help="board: even if it has no pins")
     _network(p)
@@ -88,7 +91,7 @@ def _tools(_args):
 
 
 def _elaborate(args):
-    board = read_board(args.board, **_network_of(args))
+    board = _board_or_image(args)
     if args.target == "sim":
         from . import sim
         sim.elaborate(board, args.out)
@@ -102,6 +105,14 @@ def _elaborate(args):
         build.elaborate(board, args.out, all_pins=not args.without_pins)
         print(f"{args.out}/top.v: {board.name}, {board.sys_clk_hz / 1e6:g} MHz")
     return 0
+
+
+def _board_or_image(args):
+    if not args.platform:
+        return read_board(args.board, **_network_of(args))
+    if _network_of(args):
+        raise BoardError("--platform", "", "an image has no address of its own to change; the board's settings have, or a board file")
+    return read_image(args.platform, args.channels)
 
 
 def _gates(args):

@@ -30,7 +30,7 @@ from migen import Array, Case, Cat, ClockSignal, Constant, If, Instance, Memory,
 from litex.gen import LiteXModule
 from litex.soc.interconnect import csr_bus
 
-from . import VERSION, regmap as rm
+from . import VERSION, multiplexer, regmap as rm
 
 _WORD_BITS = (rm.CSR_PAGE // 4).bit_length() - 1
 _LOW = 4  # an address is decoded in two halves, so that a register costs one LUT
@@ -217,9 +217,10 @@ DRIVEN = ("step", "dir", "step_n", "dir_n", "pwm", "pwm_dir", "outputs")
 
 class Pads:
     """The signals of a board's pins, one bit per channel, after the platform's polarity has been
-    dealt with."""
+    dealt with. On an image these are between the cores and the multiplexer, and its pins are
+    `lines`."""
 
-    def __init__(self, channels):
+    def __init__(self, channels, lines=None):
         self.step = Signal(max(1, channels.stepgen))
         self.dir = Signal(max(1, channels.stepgen))
         self.step_n = Signal(max(1, channels.stepgen))
@@ -244,16 +245,22 @@ class Pads:
         self.spi_miso = Signal()
         self.led = Signal()
         self.gate = Signal()
+        if lines:
+            # To the registers in the pads; what is at the pads; the button's pad.
+            self.line_levels, self.line_drives, self.line_seen = Signal(lines.count), Signal(lines.count), Signal(lines.count)
+            self.key = Signal(reset=int(lines.key_active_low))
 
 
 class Cores(LiteXModule):
     """All cores of one board and their banks. `arrival` is the wall clock of the frame the MAC
     presents. `words` is the stream into the receive slots, `answer` the way to transmit slot 0.
-    While `hold`, the bus master must not access the registers."""
+    While `hold`, the bus master must not access the registers. With `lines`
+    (`multiplexer.Lines`) the pins are configured at run time."""
 
     def __init__(self, channels, sys_clk_hz, rom_words, ext_reset_active_low=False, estop_mask=0, estop_level=0,
-                 safe_mask=0, invert_mask=0, jobs=0):
-        self.pads = pads = Pads(channels)
+                 safe_mask=0, invert_mask=0, jobs=0, lines=None):
+        self.pads = pads = Pads(channels, lines)
+        self.lines = lines
         self.abi = Signal(32)            # constant; the SoC knows it once its map is final
         self.frame_done = Signal()       # MAC: a frame is complete in `frame_slot`
         self.frame_slot = Signal(max=rm.ETHMAC_RX_SLOTS)
@@ -297,7 +304,13 @@ class Cores(LiteXModule):
             self._pwm(fabric, n)
         self._flags(fabric)
         self._mirrors(fabric, channels)
-        self._pads(fabric, channels)
+        if lines:
+            latched, levels = multiplexer.join(self, channels, estop)
+            self._sampled(fabric, "estop", latched)
+            for n, name in enumerate(("outputs", "outputs_high")[:-(-lines.count // rm.WORD_PINS)]):
+                fabric.live(rm.PADS, name, levels[rm.WORD_PINS * n:rm.WORD_PINS * (n + 1)])
+        else:
+            self._pads(fabric, channels)
         self._frames(fabric, select=arms["probe_arms"][0][16:21])
 
     def _frames(self, fabric, select):
@@ -445,7 +458,8 @@ class Cores(LiteXModule):
             ("channels0", channels.stepgen | channels.encoder << 8 | channels.pwm << 16),
             ("channels1", channels.inputs | channels.outputs << 8),
             ("board_rom_words", rom_words),
-            ("features", (1 if self.jobs else 0) | 2),
+            ("features", (1 if self.jobs else 0) | 2 | (4 if self.lines else 0)),
+            *((("pins", self.lines.count), ("platform", self.lines.platform)) if self.lines else ()),
         ):
             fabric.live(rm.IDENT, name, value)
 
@@ -476,8 +490,8 @@ class Cores(LiteXModule):
             fabric, rm.GPIO, 0, ("gpio_out", "gpio_in"), channels, safe_mask, invert_mask,
             p_ESTOP_MASK=Constant(estop_mask, wide), p_ESTOP_LEVEL=Constant(estop_level, wide), p_JOBS=int(self.jobs > 0),
             i_job_mask=job.mask if job else 0, i_job_value=Cat(job.aux, job.aux)[:min(wide, len(pads.outputs))] if job else 0,
-            i_clear=self.cleared, o_estop=estop, o_estop_latched=latched)
-        if channels.inputs:
+            i_clear=self.cleared, o_estop=Signal() if self.lines else estop, o_estop_latched=latched)
+        if channels.inputs and not self.lines:
             self._sampled(fabric, "estop", latched[:min(wide, channels.inputs)])
         fabric.live(rm.GPIO, "estop_mask", estop_mask)
         fabric.live(rm.GPIO, "estop_level", estop_level)

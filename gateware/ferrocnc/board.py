@@ -1,5 +1,6 @@
-"""Loads the output of `ferrocnc-config export` for a board file. The crate `config` is the only
-reader of `boards/*.toml`: it checks the files, and all other programs ask it for the board.
+"""Loads the output of `ferrocnc-config export` for a board file, and of `export-platform` for an
+image. The crate `config` is the only reader of `boards/*.toml`: it checks the files, and all other
+programs ask it for the board.
 """
 
 import json
@@ -58,7 +59,8 @@ class Platform:
 
 @dataclass
 class Board:
-    """A machine configuration on a platform. A pin a channel does not have is None."""
+    """A machine configuration on a platform. A pin a channel does not have is None. Or an image:
+    `lines`, and how many channels are `built`."""
 
     file: str
     name: str
@@ -82,6 +84,10 @@ class Board:
     missing: list = field(default_factory=list)
     blob: bytes = b""
     jobs: int = 0         # axes of a job, step generators 0 and up; 0: the board executes none
+    lines: list = field(default_factory=list)  # of an image: (name, ball) of every header line, by number
+    key_ball: str | None = None  # the button, which an image watches
+    key_active_low: bool = True
+    built: dict = field(default_factory=dict)  # stepgen, encoder, pwm of an image
     sdram: bool = False   # the services run in the card's SDRAM; without it a PC streams the jobs
 
     @property
@@ -96,6 +102,8 @@ class Board:
 
     @property
     def channels(self):
+        if self.lines:
+            return Channels(**self.built, inputs=len(self.lines), outputs=len(self.lines))
         return Channels(len(self.stepgen), len(self.encoder), len(self.pwm), len(self.gpio_in), len(self.gpio_out))
 
 
@@ -117,13 +125,24 @@ def read_board(path, **network):
     # As the file is named from the root, so that an error is the same wherever it is seen.
     shown = path.resolve().relative_to(ROOT) if path.resolve().is_relative_to(ROOT) else path
     instead = [text for key, value in network.items() for text in (f"--{key}", str(value))]
+    return _board(_ask(shown, "export", str(shown), *instead))
+
+
+def read_image(platform, channels):
+    """The image of a platform, with so many channels ("8/8/8": step generators, encoders, PWM
+    generators)."""
+    return _board(_ask(platform, "export-platform", platform, "--channels", channels))
+
+
+def _ask(what, *command):
+    """What the reader says, on its standard output."""
     try:
-        run = subprocess.run([*_reader(), "export", str(shown), *instead], cwd=ROOT, capture_output=True, text=True, check=False, encoding="utf-8")
+        run = subprocess.run([*_reader(), *command], cwd=ROOT, capture_output=True, text=True, check=False, encoding="utf-8")
     except OSError as e:
-        raise BoardError(shown, "", f"cannot be read: {e.filename} does not run ({e.strerror}); install Rust, or set FERROCNC_CONFIG") from e
+        raise BoardError(what, "", f"cannot be read: {e.filename} does not run ({e.strerror}); install Rust, or set FERROCNC_CONFIG") from e
     if run.returncode:
-        raise BoardError(run.stderr.strip() or f"{shown}: the reader ended with {run.returncode}")
-    return _board(json.loads(run.stdout))
+        raise BoardError(run.stderr.strip() or f"{what}: the reader ended with {run.returncode}")
+    return json.loads(run.stdout)
 
 
 def _board(said):
@@ -138,7 +157,18 @@ def _board(said):
         stepgen=said["stepgen"], encoder=said["encoder"], pwm=said["pwm"], gpio_in=said["gpio_in"], gpio_out=said["gpio_out"],
         ext_reset_pin=said["ext_reset"]["pin"], ext_reset_active_low=said["ext_reset"]["active_low"],
         factory_pin=said["factory"]["pin"], factory_active_low=said["factory"]["active_low"],
-        safe_mask=said["safe_mask"], invert_mask=said["invert_mask"], missing=said["missing_pins"], jobs=said["jobs"], sdram=said["sdram"], blob=bytes.fromhex(said["blob"]))
+        safe_mask=said["safe_mask"], invert_mask=said["invert_mask"], missing=said["missing_pins"], jobs=said["jobs"], sdram=said["sdram"], blob=bytes.fromhex(said["blob"]),
+        **_image(said))
+
+
+def _image(said):
+    """What only an image has."""
+    if "lines" not in said:
+        return {}
+    return {
+        "lines": [(line["name"], line["ball"]) for line in said["lines"]],
+        "key_ball": said["key"]["ball"], "key_active_low": said["key"]["active_low"], "built": said["built"],
+    }
 
 
 def pins_missing(board):

@@ -35,6 +35,8 @@ _PADS = (
     ("pwm", "pin", "pwm", True), ("pwm", "dir", "pwm_dir", True),
     ("gpio_in", "pin", "inputs", False), ("gpio_out", "pin", "outputs", True),
 )
+# A line of an image may be either.
+_LINE = (_LVCMOS, Misc("SLEWRATE=SLOW"), Misc("DRIVE=8"), Misc("PULLMODE=UP"), Misc("HYSTERESIS=ON"))
 # A board that is measured without pins must keep its logic. Its inputs come from a shift register
 # behind this pad, and its outputs leave as their parity through that one: one flip-flop for an
 # input, a third of a LUT for an output.
@@ -99,6 +101,9 @@ class _Platform(LatticeECP5Platform):
             for n, channel in enumerate(getattr(board, kind)):
                 if channel[pin]:
                     io.append((f"{kind}_{pin}", n, Pins(p.pins[channel[pin]]), *(_OUT if output else _IN)))
+        io += [("line", n, Pins(ball), *_LINE) for n, (_, ball) in enumerate(board.lines)]
+        if board.lines:
+            io.append(("key", 0, Pins(board.key_ball), *_IN))
         if not all_pins:
             io += _FERRY
         LatticeECP5Platform.__init__(self, p.device, io, toolchain="trellis")
@@ -168,6 +173,10 @@ class BoardSoC(ferro.FerroSoC):
             # never driven.
             self.specials += Instance("BB", i_I=1, i_T=1, io_B=platform.request("phy_reset"), o_O=Signal())
         self.comb += platform.request("led").eq(pads.led ^ int(board.platform.led_active_low))
+        if board.lines:
+            self._lines(platform, pads)
+            self._flash(platform, board, pads)
+            return
         # Without a pin there is no external reset; the core inverts the idle level if the file says
         # active low.
         reset = platform.request("ext_reset") if board.ext_reset_pin else int(board.ext_reset_active_low)
@@ -177,6 +186,18 @@ class BoardSoC(ferro.FerroSoC):
             # The external reset's own pin, or a shared one.
             self.comb += pads.factory.eq((reset if pin == board.ext_reset_pin else platform.request("factory")) ^ int(active_low))
         self._flash(platform, board, pads)
+
+    def _lines(self, platform, pads):
+        """The header lines of an image. Level and direction are registered in the pad, and power up
+        so that it does not drive; all lines have the same delay."""
+        clk = ClockSignal()
+        for n, (level, drives, seen) in enumerate(zip(pads.line_levels, pads.line_drives, pads.line_seen)):
+            out, off = Signal(reset=1), Signal(reset=1)
+            self.specials += [
+                SDROutput(level, out, clk), SDROutput(~drives, off, clk),
+                Instance("TRELLIS_IO", p_DIR="BIDIR", io_B=platform.request("line", n), i_I=out, i_T=off, o_O=seen),
+            ]
+        self.comb += pads.key.eq(platform.request("key"))
 
     def _driven(self, pad, level, seen):
         """A pad that is always driven, and its input buffer. It has no wire for its direction:

@@ -34,11 +34,18 @@ PORTS = (
     ("ext_reset", 1), ("led", 1), ("gate", 1), ("cpu_freeze", 1),
     ("spi_cs_n", 1), ("spi_clk", 1), ("spi_mosi", 1), ("spi_miso", 1), ("factory", 1), ("link_status", 4),
     ("pad_fault", 2), ("pad_at", 8), ("pad_to", 8),
+    # An image's header lines, by number: levels from outside; of the pads that are driven; which
+    # those are. All other pins of channels are 0 there, and have no effect.
+    ("header_in", rm.MAX_IN), ("header_out", rm.MAX_OUT), ("header_drives", rm.MAX_OUT),
 )
 # Ports of pins that are driven, with the signal of `banks.Pads`: 16 bits each and 64, in the order
 # in which `copper.sv` counts pads.
 DRIVEN = (("step", "step"), ("dir", "dir"), ("step_n", "step_n"), ("dir_n", "dir_n"), ("pwm_out", "pwm"), ("pwm_dir", "pwm_dir"), ("gpio_out", "outputs"))
-
+# Ports of pins that are not, by the same.
+_FUNCTIONS = {"step_index": "step_index", "enc_a": "enc_a", "enc_b": "enc_b", "enc_i": "enc_i", "enc_mask": "enc_mask", "gpio_in": "inputs",
+              "ext_reset": "ext_reset", "factory": "factory"}
+_HEADER = ("header_in", "header_out", "header_drives")
+_LINES_AT = 96  # the first line's pad in `copper.sv`
 
 
 class _Platform(GenericPlatform):
@@ -133,36 +140,58 @@ class SimSoC(ferro.FerroSoC):
         pads = _sdram(self, platform, board) if board.sdram else None
         ferro.FerroSoC.__init__(self, platform, board, _CRG(platform), lambda soc: _phy(platform), sdram_pads=pads)
         self._freeze(platform.request("cpu_freeze"))
-        pads, channels = self.cores.pads, board.channels
-        self._copper(platform, pads, channels)
-        for port in ("led", "gate"):
+        pads = self.cores.pads
+        for port in ("led", "gate", "spi_cs_n", "spi_clk", "spi_mosi"):
             self.comb += platform.request(port).eq(getattr(pads, port))
-        for port, signal in (("step_index", pads.step_index), ("enc_a", pads.enc_a), ("enc_b", pads.enc_b), ("enc_i", pads.enc_i),
-                             ("enc_mask", pads.enc_mask), ("gpio_in", pads.inputs)):
-            self.comb += signal.eq(platform.request(port))
-        # The port is active high on every board: the pin's own polarity is undone in front of the
-        # core.
-        self.comb += pads.ext_reset.eq(platform.request("ext_reset") ^ int(board.ext_reset_active_low))
-        for port in ("spi_cs_n", "spi_clk", "spi_mosi"):
-            self.comb += platform.request(port).eq(getattr(pads, port))
-        for port in ("spi_miso", "factory"):
-            self.comb += getattr(pads, port).eq(platform.request(port))
+        self.comb += pads.spi_miso.eq(platform.request("spi_miso"))
+        ports = {name: platform.request(name) for name in (*_FUNCTIONS, *_HEADER)}
+        if board.lines:
+            self._header(platform, pads, ports, board)
+        else:
+            self._functions(platform, pads, ports, board)
 
-    def _copper(self, platform, pads, channels):
-        """The driven pads, with what the harness has shorted there: the ports carry the pads' own
-        levels, and so does what is read back."""
+    def _functions(self, platform, pads, ports, board):
+        """The pins of a board file, each with its function."""
         absent = {name for kind, names in (("stepgen", ("step", "dir", "step_n", "dir_n")), ("pwm", ("pwm", "pwm_dir")), ("outputs", ("outputs",)))
-                  if not getattr(channels, kind) for name in names}
-        widths, first, driven, levels = dict(PORTS), 0, Signal(160), Signal(160)
+                  if not getattr(board.channels, kind) for name in names}
+        widths, first, driven = dict(PORTS), 0, Signal(160)
+        levels = self._copper(platform, driven)
         for port, name in DRIVEN:
             signal, seen = getattr(pads, name), getattr(pads, f"{name}_seen")
             if name not in absent:
                 self.comb += driven[first:first + len(signal)].eq(signal)
             self.comb += [platform.request(port).eq(levels[first:first + widths[port]]), seen.eq(levels[first:first + len(seen)])]
             first += widths[port]
+        for port, name in _FUNCTIONS.items():
+            # The external reset's port is active high on every board: the pin's own polarity is
+            # undone in front of the core.
+            low = port == "ext_reset" and board.ext_reset_active_low
+            self.comb += getattr(pads, name).eq(~ports[port] if low else ports[port])
+        self.comb += [ports["header_out"].eq(0), ports["header_drives"].eq(0)]
+
+    def _header(self, platform, pads, ports, board):
+        """The lines of an image, with the registers their pads have. A line is pad 96 and up of the
+        copper, as the outputs of a board file are."""
+        for port, _ in DRIVEN:
+            self.comb += platform.request(port).eq(0)
+        count, driven = len(board.lines), Signal(160)
+        out, drives = Signal(count, reset=(1 << count) - 1, reset_less=True), Signal(count, reset_less=True)
+        self.sync += [out.eq(pads.line_levels), drives.eq(pads.line_drives)]
+        here = self._copper(platform, driven)[_LINES_AT:_LINES_AT + count]
+        self.comb += [
+            driven[_LINES_AT:_LINES_AT + count].eq(drives & out | ~drives & ports["header_in"]),
+            ports["header_out"].eq(drives & here), ports["header_drives"].eq(drives),
+            pads.line_seen.eq(here), pads.key.eq(ports["factory"] ^ int(board.key_active_low)),
+        ]
+
+    def _copper(self, platform, driven):
+        """What the harness makes of the driven pads: the ports carry the pads' own levels, and so
+        does what is read back."""
+        levels = Signal(160)
         platform.add_source(str(COPPER), "systemverilog")
         self.specials += Instance("copper",
             i_driven=driven, i_fault=platform.request("pad_fault"), i_at=platform.request("pad_at"), i_to=platform.request("pad_to"), o_level=levels)
+        return levels
 
     def _freeze(self, freeze):
         """A hung CPU: its clock stops between edges, and it makes no bus access. Change
@@ -231,11 +260,12 @@ def _self_contained(top):
 def elaborate_cores(board, out):
     """Writes cores.v, the cores and their banks with the CSR bus as ports, and the map as
     cores.map: for `tests/cores.cpp`. The stream into the receive slots and the way into transmit
-    slot 0 are ports, too. The SDRAM's controller is not included."""
+    slot 0 are ports, too. The SDRAM's controller is not included. Of an image, what is between cores
+    and multiplexer are ports, too: all of them outputs."""
     out = Path(out).resolve()
     out.mkdir(parents=True, exist_ok=True)
     cores = banks.Cores(board.channels, board.sys_clk_hz, len(blob(board)) // 4, estop_mask=board.estop_mask, estop_level=board.estop_level,
-                        jobs=board.jobs, **dict(zip(("safe_mask", "invert_mask"), ferro.power_up_masks(board))))
+                        jobs=board.jobs, lines=ferro.header_lines(board), **dict(zip(("safe_mask", "invert_mask"), ferro.power_up_masks(board))))
     cores.cd_sys = ClockDomain()
     bus, pads = cores.bus, cores.pads
     ports = {

@@ -20,7 +20,7 @@ from litex.soc.interconnect import csr_bus, wishbone
 from litex.soc.interconnect.csr import CSRStatus
 from liteeth import mac as liteeth_mac
 
-from . import VERSION, banks, board as board_file, regmap as rm, sdram, slots
+from . import VERSION, banks, board as board_file, multiplexer, regmap as rm, sdram, slots
 from .onchip import Ram, Rom
 
 RTL = Path(__file__).resolve().parent.parent / "rtl"
@@ -133,15 +133,17 @@ class FerroSoC(SoCCore):
     def _add_board_rom(self):
         origin, size = rm.BOARD_ROM
         memory = Memory(32, size // 4, init=place_words()[1] if self.packed else board_words(self.blob), name="board_rom")
-        self.board_rom = wishbone.SRAM(memory, read_only=True, bus=wishbone.Interface(data_width=32, address_width=32, addressing="word"))
-        self.bus.add_slave("board_rom", self.board_rom.bus, SoCRegion(origin=origin, size=size, mode="r", cached=False))
+        # On an image it is a RAM: the configuration of the pins brings its own description.
+        image = bool(getattr(self.board, "lines", ()))
+        self.board_rom = wishbone.SRAM(memory, read_only=not image, bus=wishbone.Interface(data_width=32, address_width=32, addressing="word"))
+        self.bus.add_slave("board_rom", self.board_rom.bus, SoCRegion(origin=origin, size=size, mode="rw" if image else "r", cached=False))
 
     def _add_cores(self):
         for source in sorted(RTL.glob("*.sv")):
             self.platform.add_source(str(source), "systemverilog")
         self.cores = cores = banks.Cores(
             self.board.channels, self.board.sys_clk_hz, len(self.blob) // 4, self.board.ext_reset_active_low,
-            self.board.estop_mask, self.board.estop_level, *power_up_masks(self.board), jobs=self._jobs())
+            self.board.estop_mask, self.board.estop_level, *power_up_masks(self.board), jobs=self._jobs(), lines=header_lines(self.board))
         self.fabric_buses.append(cores.bus)
         fifo = self.ethmac.interface.sram.writer.stat_fifo
         self.comb += [
@@ -194,6 +196,12 @@ class Elsewhere(SoCRegion):
 def power_up_masks(board):
     """`gpio.safe` and `gpio.invert_out` before the firmware runs."""
     return getattr(board, "safe_mask", 0), getattr(board, "invert_mask", 0)
+
+
+def header_lines(board):
+    """What the multiplexer of an image must know of its pins; `None` for a board file."""
+    count = len(getattr(board, "lines", ()))
+    return multiplexer.Lines(board.platform.name, count, board.key_active_low) if count else None
 
 
 def random_words(count):

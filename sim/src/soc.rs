@@ -13,7 +13,7 @@ use serde::Deserialize;
 use crate::error::Error;
 
 /// Version of [`Pins`] and of the functions below; equal to `ABI_VERSION` in `verilator/shim.cpp`.
-const SHIM_ABI: u32 = 10;
+const SHIM_ABI: u32 = 11;
 
 /// Bit of the sys clock in [`Silicon::rise`].
 pub const SYS: u32 = 1;
@@ -29,6 +29,9 @@ pub const ETH: u32 = 2;
 pub struct Pins {
     /// In: levels at the general inputs, bit n = input n.
     pub gpio_in: u64,
+    /// In, of an image: levels at the header lines from outside, bit n = line n. Where nothing
+    /// drives, the card's pull-ups make 1 of a line.
+    pub header_in: u64,
     /// In: encoder phase A, bit n = encoder n.
     pub enc_a: u16,
     /// In: encoder phase B.
@@ -63,6 +66,10 @@ pub struct Pins {
     pub reserved_in: [u8; 4],
     /// Out: levels at the general outputs.
     pub gpio_out: u64,
+    /// Out, of an image: levels of the header lines that the board drives, 0 of all others.
+    pub header_out: u64,
+    /// Out, of an image: which header lines the board drives.
+    pub header_drives: u64,
     /// Out: STEP pins, bit n = stepgen n.
     pub step: u16,
     /// Out: DIR pins.
@@ -93,7 +100,7 @@ pub struct Pins {
     pub reserved_out: [u8; 5],
 }
 
-const _: () = assert!(size_of::<Pins>() == 64);
+const _: () = assert!(size_of::<Pins>() == 88);
 
 /// [`Pins::link_status`]: bit 0 up, bits 2:1 the speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full
 /// duplex. A link at 1000.
@@ -104,6 +111,7 @@ impl Default for Pins {
     fn default() -> Self {
         Pins {
             gpio_in: 0,
+            header_in: 0,
             enc_a: 0,
             enc_b: 0,
             enc_i: 0,
@@ -121,6 +129,8 @@ impl Default for Pins {
             pad_to: 0,
             reserved_in: [0; 4],
             gpio_out: 0,
+            header_out: 0,
+            header_drives: 0,
             step: 0,
             dir: 0,
             step_n: 0,
@@ -145,6 +155,7 @@ impl Pins {
         let inputs = *self;
         *self = Pins {
             gpio_in: inputs.gpio_in,
+            header_in: inputs.header_in,
             enc_a: inputs.enc_a,
             enc_b: inputs.enc_b,
             enc_i: inputs.enc_i,

@@ -1,8 +1,8 @@
 // copper: the pads that the simulated board drives, and one thing that is wrong with them.
 //
 // Pads by number: STEP n is n, DIR 16 + n, inverted STEP 32 + n, inverted DIR 48 + n, PWM 64 + n,
-// its second pin 80 + n, output n 96 + n. Where two drivers fight, the one that pulls low wins: the
-// n-channel is the stronger one.
+// its second pin 80 + n, output n 96 + n; on an image line n 96 + n. Where two drivers fight, the
+// one that pulls low wins: the n-channel is the stronger one.
 //
 `default_nettype none
 module copper (

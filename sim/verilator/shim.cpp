@@ -39,23 +39,23 @@ bool Vsoc___024root___eval_phase__nba(Vsoc___024root*);
 #endif
 
 namespace {
-constexpr uint32_t ABI_VERSION = 10;
+constexpr uint32_t ABI_VERSION = 11;
 constexpr uint32_t SYS = 1, ETH = 2;
 
 struct Pins {
     // in
-    uint64_t gpio_in;
+    uint64_t gpio_in, header_in;
     uint16_t enc_a, enc_b, enc_i, step_index, enc_mask;
     uint8_t gmii_rx_data, gmii_rx_dv;
     uint8_t ext_reset, cpu_freeze, sys_rst, factory, link_status, pad_fault, pad_at, pad_to, reserved_in[4];
     // out
-    uint64_t gpio_out;
+    uint64_t gpio_out, header_out, header_drives;
     uint16_t step, dir, step_n, dir_n, pwm_out, pwm_dir;
     uint8_t gmii_tx_data, gmii_tx_en;
     uint8_t led, gate;
     uint8_t spi_cs_n, spi_clk, spi_mosi, reserved_out[5];
 };
-static_assert(sizeof(Pins) == 64, "mirrored in sim/src/soc.rs");
+static_assert(sizeof(Pins) == 88, "mirrored in sim/src/soc.rs");
 
 // A memory that is several arrays, one after the other: how many words, and the one at `index`.
 template <typename... Arrays> uint32_t words_of(Arrays&... arrays) {
@@ -125,6 +125,7 @@ struct Soc {
     void drive(const Pins& p) {
         FC_MODEL& m = *model;
         m.gpio_in = p.gpio_in;
+        m.header_in = p.header_in;
         m.enc_a = p.enc_a;
         m.enc_b = p.enc_b;
         m.enc_i = p.enc_i;
@@ -146,6 +147,8 @@ struct Soc {
     void sample(Pins& p) {
         FC_MODEL& m = *model;
         p.gpio_out = m.gpio_out;
+        p.header_out = m.header_out;
+        p.header_drives = m.header_drives;
         p.step = m.step;
         p.dir = m.dir;
         p.step_n = m.step_n;

@@ -197,6 +197,11 @@ impl Built {
         self.index(self.stepgens).next_multiple_of(4)
     }
 
+    /// The line of the card's button, behind the header lines: an input only, low while pressed.
+    pub const fn key(self) -> u8 {
+        self.lines
+    }
+
     /// The factory pin: 1 is active. It has no effect behind the start.
     pub const fn factory(self) -> u8 {
         self.reset() + 1
@@ -295,7 +300,8 @@ impl Head {
 
     /// Whether an image with these counts, of the platform whose name has this CRC-32, can be
     /// configured so: every driven line carries what exists and is used, every input listens to a
-    /// line that exists and is not driven, and lines and inputs that do not exist have no route.
+    /// line that exists and is not driven, or to the button, and lines and inputs that do not exist
+    /// have no route.
     pub fn check(&self, image: Built, platform: u32) -> Verdict {
         if self.platform() != platform {
             return Verdict::Platform;
@@ -332,7 +338,8 @@ impl Head {
         }
         for sink in 0..LINES_MAX {
             let line = route(self.inputs(), sink) & SOURCE;
-            let listens = sink < image.sinks() && line < image.lines && !self.driven(line);
+            let there = line < image.lines && !self.driven(line) || line == image.key();
+            let listens = sink < image.sinks() && there;
             if line != NONE && !listens {
                 return Verdict::Input;
             }
@@ -468,7 +475,7 @@ mod tests {
         for (sink, line) in [(0, 0), (47, 55), (3, 55 | INVERT), (100, NONE)] {
             assert_eq!(input(sink, line), Verdict::InForce, "{sink} {line}");
         }
-        for (sink, line) in [(0, 56), (48, 0), (127, 3), (5, 126)] {
+        for (sink, line) in [(0, 57), (48, 0), (48, 56), (127, 3), (5, 126)] {
             assert_eq!(input(sink, line), Verdict::Input, "{sink} {line}");
         }
         let driven = with(|words| {
@@ -476,6 +483,21 @@ mod tests {
             words[DRIVES_AT] = 1 << 9;
         });
         assert_eq!(driven, Verdict::Input);
+    }
+
+    #[test]
+    fn the_button_is_an_input_and_no_output() {
+        let key = EIGHT.key();
+        for sink in [
+            EIGHT.reset(),
+            EIGHT.factory(),
+            EIGHT.estop(3),
+            EIGHT.encoder(0),
+        ] {
+            let verdict = with(|words| to(&mut words[INPUTS_AT..], sink, key | INVERT));
+            assert_eq!(verdict, Verdict::InForce, "{sink}");
+        }
+        assert_eq!(output(key, EIGHT.enabled()), Verdict::Output);
     }
 
     #[test]
