@@ -4,7 +4,7 @@
 use crate::board::{Board, ControlInput, Modified};
 use crate::error::{Error, Report};
 use crate::export::export;
-use crate::platform::{Level, Platform, own_pins, shared_pins};
+use crate::platform::{Level, Platform};
 use serde_json::{Value, json};
 use wire::jobs::AXES as JOB_AXES;
 use wire::pins::Built;
@@ -59,13 +59,8 @@ impl Counts {
 /// The header lines of a platform by number, each with the first name it has and its ball: what
 /// each header has to itself, in the order of the headers, and behind those what all share.
 pub fn lines(platform: &Platform) -> Vec<(String, &str)> {
-    let own = platform
-        .headers
-        .iter()
-        .flat_map(|(header, _)| own_pins(header));
-    let first = platform.headers.first();
-    let shared = first.map_or(Vec::new(), |(header, _)| shared_pins(header));
-    own.chain(shared)
+    let names = platform.lines().into_iter();
+    names
         .filter_map(|name| {
             let ball = platform.pin(&name)?.1?;
             Some((name, ball))

@@ -479,6 +479,31 @@ impl Platform {
         })
     }
 
+    /// The lines of the headers in the order of their numbers on a card whose pins are configured
+    /// (`wire::pins`): the lines a header has to itself, header by header, then the shared ones by
+    /// the first header's names.
+    pub fn lines(&self) -> Vec<String> {
+        let own = self.headers.iter().flat_map(|(name, _)| own_pins(name));
+        let shared = self.headers.first().map(|(name, _)| shared_pins(name));
+        own.chain(shared.into_iter().flatten()).collect()
+    }
+
+    /// The number of a pin's line; `None` for the key, ground, and what is no pin. All headers have
+    /// the same shared lines.
+    pub fn line(&self, name: &str) -> Option<u8> {
+        let (role, _) = self.pin(name)?;
+        let (header, index) = split(name)?;
+        let place = match role {
+            Role::Ground | Role::Key => return None,
+            Role::Own => {
+                let header = self.headers.iter().position(|(known, _)| known == header)?;
+                header * OWN + index - usize::from(index > 3)
+            }
+            Role::Shared => self.headers.len() * OWN + index - FIRST_SHARED,
+        };
+        u8::try_from(place).ok()
+    }
+
     /// Why a name is no pin, and what to write instead.
     pub fn no_such_pin(&self, name: &str) -> (String, String) {
         let headers = format!(

@@ -47,6 +47,7 @@ pub mod model_board;
 pub mod nor;
 pub mod pads;
 pub mod plant;
+pub mod plug;
 pub mod report;
 pub mod rig;
 pub mod server;

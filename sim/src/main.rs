@@ -16,6 +16,7 @@ use sim::model_board;
 use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part};
 use sim::plant::{Axis, Plant};
+use sim::plug::Plug;
 use sim::rig::{Rig, Setup};
 use sim::server::{Device, Mode, Options, Server};
 use sim::twin::Twin;
@@ -94,6 +95,10 @@ struct Arguments {
     /// Firmware ELF.
     #[arg(long, value_name = "ELF", required_if_eq("backend", "rtl"))]
     firmware: Option<PathBuf>,
+    /// Gateware of an image, whose pins are configured on the board: its headers are wired as this
+    /// board file says. Without it every line is pulled up.
+    #[arg(long, value_name = "FILE.toml")]
+    wired: Option<PathBuf>,
     /// Model: which board: a board file (mill.toml), or the name of one that is carried here
     /// (mill6, max, plotter) or has been elaborated.
     #[arg(long, value_name = "NAME|FILE.toml", default_value = "mill6")]
@@ -283,6 +288,9 @@ impl Arguments {
         setup.trailer = model_board::trailer(&flash.chip());
         setup.flash = Some(flash);
         setup.factory = self.factory;
+        if let Some(path) = &self.wired {
+            setup.plug = Some(Plug::of(&ferrocnc_config::read_board(path)?));
+        }
         setup.trace = self.trace.as_ref().map(|path| TraceWindow {
             path: path.clone(),
             from: self.trace_from,

@@ -34,6 +34,7 @@ use crate::lan_segment::{
 use crate::nor::pins::Wires;
 use crate::nor::spi::Shared;
 use crate::plant::Plant;
+use crate::plug::Plug;
 use crate::report::{Counters, FrameCounts, Report, Seen};
 use crate::soc::{LINK_1000, Manifest, Pins, SdramLines, Silicon, Soc};
 
@@ -61,6 +62,8 @@ pub struct Setup {
     pub trailer: Trailer,
     /// Lines of the SDRAM that are shorted to ground; needs a board with one.
     pub shorted: SdramLines,
+    /// What is wired to the headers of a card whose pins are configured.
+    pub plug: Option<Plug>,
     /// Waveforms of a window of time.
     pub trace: Option<TraceWindow>,
     /// Longest wait for the first answer, sys clocks. 3 000 000 are 50 ms of board time: start-up
@@ -80,6 +83,7 @@ impl Setup {
             factory: false,
             trailer: Trailer::NONE,
             shorted: SdramLines::default(),
+            plug: None,
             trace: None,
             boot_clocks: 3_000_000,
         }
@@ -187,6 +191,7 @@ impl Rig<Soc> {
     pub fn power_up(setup: Setup) -> Result<Self, Error> {
         let manifest = Manifest::read(&setup.soc_dir)?;
         let mut soc = Soc::load(&setup.soc_dir, setup.trace.is_some())?;
+        soc.plug_in(setup.plug);
         let rom_words = soc.rom_words();
         let mut image = Image::read(&setup.firmware, rom_words)?;
         if setup.trailer != Trailer::NONE {

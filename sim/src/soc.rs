@@ -11,6 +11,7 @@ use libloading::Library;
 use serde::Deserialize;
 
 use crate::error::Error;
+use crate::plug::Plug;
 
 /// Version of [`Pins`] and of the functions below; equal to `ABI_VERSION` in `verilator/shim.cpp`.
 const SHIM_ABI: u32 = 11;
@@ -107,11 +108,11 @@ const _: () = assert!(size_of::<Pins>() == 88);
 pub const LINK_1000: u8 = 0b1101;
 
 impl Default for Pins {
-    /// Everything low, but the link is up.
+    /// Everything low, but the link is up and the header lines of an image are pulled up.
     fn default() -> Self {
         Pins {
             gpio_in: 0,
-            header_in: 0,
+            header_in: u64::MAX,
             enc_a: 0,
             enc_b: 0,
             enc_i: 0,
@@ -268,6 +269,7 @@ pub struct Soc {
     on_spi: OnSpiFn,
     free: HandleFn,
     path: PathBuf,
+    plug: Option<Plug>,
     // Boxed twice: the shim holds a thin pointer to the inner box.
     spi: Option<Box<SpiDevice>>,
     // Last: the code above lives in it.
@@ -343,6 +345,7 @@ impl Soc {
                 trace_close: *library.get(b"fc_trace_close").map_err(err)?,
                 on_spi: *library.get(b"fc_on_spi").map_err(err)?,
                 free: *library.get(b"fc_free").map_err(err)?,
+                plug: None,
                 spi: None,
                 handle: new(),
                 path,
@@ -378,6 +381,12 @@ impl Soc {
         // SAFETY: see `rom_words`; `context` stays where it is until it is replaced here or freed
         // after the handle.
         unsafe { (self.on_spi)(self.handle, Some(on_spi), context.cast()) }
+    }
+
+    /// Wires the headers of a card whose pins are configured; without a plug every line is pulled
+    /// up.
+    pub fn plug_in(&mut self, plug: Option<Plug>) {
+        self.plug = plug;
     }
 
     /// Address of the instruction that left the CPU's pipeline with the last clock edge; `None` in
@@ -424,8 +433,16 @@ impl Soc {
 impl Silicon for Soc {
     #[inline]
     fn rise(&mut self, pins: &mut Pins, clocks: u32, time_ps: u64) {
-        // SAFETY: `pins` has the layout of the shim's struct and is borrowed for the call only.
+        let Some(plug) = &mut self.plug else {
+            // SAFETY: `pins` has the layout of the shim's struct and is borrowed for the call only.
+            return unsafe { (self.rise)(self.handle, pins, clocks, time_ps) };
+        };
+        let factory = pins.factory;
+        (pins.header_in, pins.factory) = plug.inside(pins);
+        // SAFETY: as above.
         unsafe { (self.rise)(self.handle, pins, clocks, time_ps) }
+        pins.factory = factory;
+        plug.outside(pins);
     }
 
     fn trace_open(&mut self, file: &Path) -> Result<(), Error> {

@@ -6,6 +6,7 @@
 //! board and the image.
 
 pub mod bench;
+pub mod card;
 pub mod drawing;
 pub mod driver;
 pub mod flash;
@@ -523,6 +524,11 @@ impl BenchMachine {
     /// What the board has.
     pub fn channels(&self) -> Channels {
         self.describe.channels
+    }
+
+    /// What it has besides the channels.
+    pub fn features(&self) -> u32 {
+        self.describe.features
     }
 
     /// Lets milliseconds of board time pass in silence.

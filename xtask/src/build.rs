@@ -2,6 +2,7 @@
 
 use crate::{python, root, setup, step, target};
 use anyhow::{Result, bail};
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -92,13 +93,28 @@ pub fn simulated_board(board: &str) -> Result<PathBuf> {
     elaborate_and_verilate(board, &board_reader()?)
 }
 
+/// The platform and the channels of the image that the tests configure.
+pub const IMAGE: (&str, &str) = ("5a-75b-8.0", "8/8/8");
+
+/// Elaborates the image of [`IMAGE`] for simulation and verilates it.
+pub fn simulated_image() -> Result<PathBuf> {
+    let (platform, channels) = IMAGE;
+    let what = ["--platform", platform, "--channels", channels].map(Into::into);
+    verilate(platform, &what, &board_reader()?)
+}
+
 fn elaborate_and_verilate(board: &str, reader: &Path) -> Result<PathBuf> {
+    verilate(board, &["--board".into(), board_file(board).into()], reader)
+}
+
+/// Elaborates what these arguments say, and verilates it under this name.
+fn verilate(board: &str, what: &[OsString], reader: &Path) -> Result<PathBuf> {
     let elaborated = target(&format!("gateware/sim-{board}"));
     let mut elaborate = python::gateware("elaborate");
     elaborate
         .env("FERROCNC_CONFIG", reader)
-        .args(["--target", "sim", "--board"])
-        .arg(board_file(board))
+        .args(["--target", "sim"])
+        .args(what)
         .arg("--out")
         .arg(&elaborated);
     step::run(

@@ -190,6 +190,9 @@ fn simulations(levels: &[Level]) -> Result<()> {
     if any(|level| matches!(level, Level::Soc | Level::Jobs | Level::Plotter)) {
         build::simulated_board(build::JOBS_BOARD)?;
     }
+    if any(|level| level == Level::Soc) {
+        build::simulated_image()?;
+    }
     if any(|level| level == Level::Lockstep) {
         build::simulated_cores(build::WIDE_BOARD)?;
         build::simulated_cores(build::CORES_BOARD)?;
@@ -537,6 +540,7 @@ fn soc(named: bool) -> Result<usize> {
         ("jobs_program", "3 min"),
         ("services", "3 min"),
         ("path_stop", "1 min"),
+        ("pinmux", "2 min"),
         ("soc", "3 min"),
         ("flood", "4 min"),
         ("frames", "5 min"),
