@@ -10,6 +10,14 @@ pub const ROM: usize = wire::regmap::BOARD_ROM_SIZE;
 
 /// The blob of a configuration. Refused when it is longer than the board has room for.
 pub fn blob(board: &Board) -> Result<Vec<u8>, Error> {
+    numbered(board, |class| (0..).zip(board.of(class)).collect())
+}
+
+/// The same with the channels of a class under these numbers, which ascend.
+pub(crate) fn numbered<'b>(
+    board: &'b Board,
+    channels: impl Fn(Class) -> Vec<(u8, &'b Channel)>,
+) -> Result<Vec<u8>, Error> {
     let mut body = Vec::new();
     entry(&mut body, 1, 0, board.platform.title.as_bytes());
     entry(&mut body, 2, 0, board.name.as_bytes());
@@ -21,7 +29,7 @@ pub fn blob(board: &Board) -> Result<Vec<u8>, Error> {
     entry(&mut body, 13, 0, board.platform.device.as_bytes());
     entry(&mut body, 14, 0, board.platform.name.as_bytes());
     for class in Class::ALL {
-        list(&mut body, class, board.of(class));
+        list(&mut body, class, &channels(class));
     }
     let total = HEADER_LEN + body.len();
     if total > ROM {
@@ -41,25 +49,34 @@ pub fn blob(board: &Board) -> Result<Vec<u8>, Error> {
 }
 
 /// The channels of a class in as few entries as they go into.
-fn list(body: &mut Vec<u8>, class: Class, channels: &[Channel]) {
+fn list(body: &mut Vec<u8>, class: Class, channels: &[(u8, &Channel)]) {
     let letter = class.letter();
-    let (mut first, mut said) = (0, letter.to_string());
-    for (n, channel) in (0..).zip(channels) {
+    let (mut first, mut next, mut said) = (0, 0, String::new());
+    for (n, channel) in channels {
         let text = channel.text(class);
         let line = match text.as_str() {
             "" => channel.name.clone(),
             text => format!("{} {letter}{text}", channel.name),
         };
-        if said.len() + 1 + line.len() > 255 {
-            entry(body, LIST, first, said.as_bytes());
-            (first, said) = (n, letter.to_string());
+        // A list has no gaps.
+        if *n != next || said.len() + 1 + line.len() > 255 {
+            end(body, first, &said);
+            said.clear();
         }
-        if n != first {
+        if said.is_empty() {
+            (first, said) = (*n, letter.to_string());
+        } else {
             said.push('\n');
         }
         said += &line;
+        next = *n + 1;
     }
-    if !channels.is_empty() {
+    end(body, first, &said);
+}
+
+/// Ends a list, if one was begun.
+fn end(body: &mut Vec<u8>, first: u8, said: &str) {
+    if !said.is_empty() {
         entry(body, LIST, first, said.as_bytes());
     }
 }

@@ -17,6 +17,7 @@ pub mod import;
 pub mod new;
 pub mod peers;
 pub mod pinout;
+pub mod pins;
 pub mod platform;
 pub mod schema;
 pub mod show;
