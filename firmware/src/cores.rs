@@ -207,8 +207,10 @@ pub trait Board {
     fn csr_read(&mut self, address: u32) -> u32;
     /// Writes a raw CSR; [`crate::service::check_write`] said yes.
     fn csr_write(&mut self, address: u32, value: u32);
-    /// Reads the board information ROM.
+    /// Reads the board information.
     fn blob(&mut self, word: usize) -> u32;
+    /// Writes the board information, on boards whose pins are configured.
+    fn describe(&mut self, _word: usize, _value: u32) {}
     /// Sets the status LED.
     fn led(&mut self, pattern: Led);
     /// Reads the log window's head or ring ([`crate::log::Ring`]).

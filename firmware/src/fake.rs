@@ -13,7 +13,10 @@ use wire::etherbone::{HEADER, record};
 use wire::exchange::{COMMAND_HEAD, Command, REQUEST_OVERHEAD, STATUS_MAX, Status, command_word};
 use wire::flash::Layout;
 use wire::images::Trailer;
-use wire::regmap::{self, command, segments, status, timebase, watchdog};
+use wire::pins::{Built, NONE, SOURCE};
+use wire::regmap::{
+    self, command, ident, pinmux_in, pinmux_out, segments, status, timebase, watchdog,
+};
 use wire::settings::{self, Settings};
 use wire::{MAX_WORDS, Refusal, ResetReason, map};
 
@@ -66,7 +69,8 @@ pub struct Notebook {
     pub close: u32,
     pub led: Led,
     pub done: Vec<Change>,
-    settings: HashMap<String, u32>,
+    /// By the address of their register.
+    settings: HashMap<usize, u32>,
     pub ring: log::Ring<64>,
     pub record: postmortem::Record,
     pub chip: Chip,
@@ -83,7 +87,85 @@ pub struct Notebook {
     pub sending: bool,
     /// Its transmit slot.
     pub slot: [u32; 128],
+    /// The multiplexer of the pins.
+    pub mux: Mux,
+    /// The board information that was written.
+    pub described: Vec<u32>,
 }
+
+/// The multiplexer of an image, as its registers show it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Mux {
+    /// Header lines, and the number of the platform.
+    pub ident: (u32, u32),
+    /// The words of the outputs, and those of the inputs.
+    pub out: HashMap<usize, u32>,
+    pub inputs: HashMap<usize, u32>,
+    /// All words in the order they came, by address.
+    pub log: Vec<(u32, u32)>,
+    /// So many words are taken, then none.
+    pub takes: Option<usize>,
+    /// Looks until the last word is complete.
+    looks: u32,
+    refused: bool,
+    /// The line of the factory pin is active.
+    pub factory_line: bool,
+}
+
+impl Mux {
+    /// The lines that are driven, and the route of each.
+    pub fn driven(&self) -> Vec<(u8, u8)> {
+        let word = |at: usize| self.out.get(&at).copied().unwrap_or(0);
+        let drives = |line: u8| word(pinmux_out::DRIVES0 + usize::from(line / 32));
+        let route = |line: u8| word(line as usize / 4).to_le_bytes()[line as usize % 4];
+        let lines = (0..128u8).filter(|line| drives(*line) >> (line % 32) & 1 == 1);
+        lines.map(|line| (line, route(line))).collect()
+    }
+
+    fn write(&mut self, address: u32, value: u32, open: bool) {
+        assert_eq!(self.looks, 0, "{address:x} while a word is being written");
+        self.looks = 3;
+        self.refused = open || self.takes == Some(0);
+        if self.refused {
+            return;
+        }
+        self.takes = self.takes.map(|left| left - 1);
+        self.log.push((address, value));
+        let inputs = address as usize >= pinmux_in::BASE;
+        let (base, words) = match inputs {
+            true => (pinmux_in::BASE, &mut self.inputs),
+            false => (pinmux_out::BASE, &mut self.out),
+        };
+        let word = (address as usize - base) / 4;
+        let known = if inputs {
+            pinmux_in::STATUS
+        } else {
+            pinmux_out::STATUS
+        };
+        assert!(word < known, "no word {word}");
+        words.insert(word, value);
+    }
+
+    fn status(&mut self) -> u32 {
+        self.looks = self.looks.saturating_sub(1);
+        u32::from(self.looks == 0) | u32::from(self.refused) << 1
+    }
+
+    /// Is the factory pin active on the line that it was routed to?
+    fn factory(&self, sink: u8) -> bool {
+        let word = self.inputs.get(&usize::from(sink / 4));
+        let route = word.map_or(NONE, |word| word.to_le_bytes()[usize::from(sink % 4)]);
+        self.factory_line && route & SOURCE != NONE
+    }
+}
+
+/// What the image of the tests has: 56 lines, 8 channels of each kind.
+pub const EIGHT: Built = Built {
+    stepgens: 8,
+    encoders: 8,
+    pwms: 8,
+    lines: 56,
+};
 
 impl Notebook {
     pub fn new() -> Self {
@@ -116,6 +198,8 @@ impl Notebook {
             used: false,
             sending: false,
             slot: [0; 128],
+            mux: Mux::default(),
+            described: Vec::new(),
         }
     }
 
@@ -173,7 +257,7 @@ impl Board for Notebook {
         self.trailer
     }
     fn factory_pin(&mut self) -> bool {
-        self.factory
+        self.factory || self.mux.factory(EIGHT.factory())
     }
     fn stack(&mut self, part: u32) -> Option<(u32, u32)> {
         (part >= self.free_stack).then_some((100, 100 + 2048 * self.free_stack))
@@ -263,13 +347,10 @@ impl Board for Notebook {
         }
     }
     fn setting(&mut self, which: Setting) -> u32 {
-        self.settings
-            .get(&format!("{which:?}"))
-            .copied()
-            .unwrap_or(0)
+        self.settings.get(&which.address()).copied().unwrap_or(0)
     }
     fn set(&mut self, which: Setting, value: u32) {
-        self.settings.insert(format!("{which:?}"), value);
+        self.settings.insert(which.address(), value);
         self.done.push(Change::Set(which, value));
     }
     fn set_stop_accel(&mut self, stepgen: usize, value: u32) {
@@ -277,7 +358,16 @@ impl Board for Notebook {
         self.set(Setting::Stepgen(stepgen as u8, field), value);
     }
     fn csr_read(&mut self, address: u32) -> u32 {
-        self.asked.push(address);
+        const OUT: u32 = regmap::address(pinmux_out::BASE, pinmux_out::STATUS);
+        const IN: u32 = regmap::address(pinmux_in::BASE, pinmux_in::STATUS);
+        const LINES: u32 = regmap::address(ident::BASE, ident::PINS);
+        const PLATFORM: u32 = regmap::address(ident::BASE, ident::PLATFORM);
+        match address {
+            OUT | IN => return self.mux.status(),
+            LINES => return self.mux.ident.0,
+            PLATFORM => return self.mux.ident.1,
+            _ => self.asked.push(address),
+        }
         let word = |base: usize| (address as usize).wrapping_sub(base) / 4;
         if let Some(value) = self.latched.get(word(status::BASE)) {
             return *value;
@@ -293,10 +383,20 @@ impl Board for Notebook {
         address ^ 0x5555_0000 | state
     }
     fn csr_write(&mut self, address: u32, value: u32) {
+        if address as usize >= pinmux_out::BASE {
+            let open = self.gate().open();
+            return self.mux.write(address, value, open);
+        }
+        self.settings.insert(address as usize, value);
         self.done.push(Change::Csr(address, value));
     }
     fn blob(&mut self, word: usize) -> u32 {
-        0xb10b_0000 + word as u32
+        let written = self.described.get(word).copied();
+        written.unwrap_or(0xb10b_0000 + word as u32)
+    }
+    fn describe(&mut self, word: usize, value: u32) {
+        assert_eq!(word, self.described.len(), "in order");
+        self.described.push(value);
     }
     fn led(&mut self, pattern: Led) {
         self.led = pattern;
@@ -457,7 +557,8 @@ impl Rig {
         let mut rig = Rig::on(board, ABI, SIX, FEATURE_JOBS);
         let trailer = Trailer::from_words(rig.board.trailer);
         let (flash, chip) = (&mut rig.server.flash, &mut rig.board.chip);
-        flash.start(chip, trailer, None, Settings::BUILT_IN, false);
+        flash.find(chip, trailer);
+        flash.start(chip, None, Settings::BUILT_IN, false);
         rig
     }
 

@@ -6,8 +6,9 @@
 //! it.
 //!
 //! Erase and program operations are refused outside of the slot that is not selected
-//! ([`Layout::writable`]). Settings, stubs and the chip's own protection change by operations of
-//! their own, which check what they write.
+//! ([`Layout::writable`]) and of the copy of the pins' configuration that is not in force.
+//! Settings, stubs and the chip's own protection change by operations of their own, which check
+//! what they write.
 
 use crate::images::{self, Step};
 use crate::nor::{
@@ -18,6 +19,7 @@ use embedded_hal::spi::{Operation, SpiDevice};
 use wire::crc::Crc32;
 use wire::flash::{Area, BLOCK, Layout, Op, OpResult, OpWord, Origin, PAGE, Running, SECTOR, Slot};
 use wire::images::{META_BYTES, Meta, Trailer};
+use wire::pins::{Loaded, Verdict};
 use wire::settings::{Settings, WORDS};
 use wire::{map, settings as layout_of};
 
@@ -81,7 +83,7 @@ impl PartialCrc {
     /// Adds the next [`SLICE`] bytes.
     fn advance<S: SpiDevice>(&mut self, nor: &mut Nor<S>) -> Result<(), OpResult> {
         let count = SLICE.min(self.left);
-        nor.each(self.at, count, |bytes| self.so_far.update(bytes))?;
+        nor.each(self.at, count, &mut |bytes| self.so_far.update(bytes))?;
         self.at += count;
         self.left -= count;
         Ok(())
@@ -104,6 +106,8 @@ pub struct Flash {
     /// longer than an exchange may wait for another client.
     shown: [u32; WORDS],
     origin: Origin,
+    /// What became of the configuration of the pins.
+    pub(crate) pins: Loaded,
     word: OpWord,
     address: u32,
     length: u32,
@@ -135,6 +139,10 @@ impl Flash {
             settings: Settings::BUILT_IN,
             shown: [0; WORDS],
             origin: Origin::BuiltIn,
+            pins: Loaded {
+                verdict: Verdict::Fixed,
+                copy: None,
+            },
             word: OpWord::IDLE,
             address: 0,
             length: 0,
@@ -145,24 +153,26 @@ impl Flash {
         }
     }
 
-    /// Identifies the chip, and finds the settings in force: the newest saved ones, or `built_in`
-    /// if there are none or the factory pin is active. Waits for an operation that the last start
-    /// left running.
+    /// Identifies the chip. Waits for an operation that the last start left running.
+    pub fn find<S: SpiDevice>(&mut self, spi: &mut S, trailer: Trailer) {
+        self.trailer = trailer;
+        if self.identify(&mut Nor(spi)).is_err() {
+            self.layout = None;
+        }
+    }
+
+    /// Finds the settings in force: the newest saved ones, or `built_in` if there are none or the
+    /// factory pin is active.
     pub fn start<S: SpiDevice>(
         &mut self,
         spi: &mut S,
-        trailer: Trailer,
         idcode: Option<u32>,
         built_in: Settings,
         factory_pin: bool,
     ) {
-        self.trailer = trailer;
         self.idcode = idcode;
         self.settings = built_in;
         let mut nor = Nor(spi);
-        if self.identify(&mut nor).is_err() {
-            self.layout = None;
-        }
         if let Some(layout) = self.layout {
             if let Ok(Some((settings, copy))) =
                 settings::load(&mut nor, &layout).map(Copies::newest)
@@ -309,6 +319,18 @@ impl Flash {
         address < end && address.saturating_add(length) > layout.settings
     }
 
+    /// May these bytes be erased and programmed? Those of a copy of the pins' configuration only if
+    /// it is not the newest whole one, and where the gateware has a use for it.
+    #[inline(never)]
+    fn writable(&self, layout: &Layout, address: u32, length: u32) -> bool {
+        let free = |copy| {
+            self.pins.verdict != Verdict::Fixed
+                && self.pins.copy != Some(copy)
+                && layout.pins_copy(copy).contains(address, length)
+        };
+        layout.writable(self.selected, address, length) || free(0) || free(1)
+    }
+
     /// A word of the flash window, by byte address. This module does not know the link and the
     /// address in force.
     pub fn read_word(&self, address: u32) -> u32 {
@@ -327,6 +349,7 @@ impl Flash {
             map::FLASH_BUILD_ID => self.trailer.build_id,
             map::FLASH_ORIGIN => self.origin.code(),
             map::FLASH_PROTECTED => u32::from(self.protected),
+            map::FLASH_PINS => self.pins.to_word(),
             map::FLASH_BUFFER..map::FLASH_SETTINGS => {
                 let word = (address - map::FLASH_BUFFER) as usize / 4;
                 let word = self.buffer.as_chunks::<4>().0.get(word);
@@ -444,7 +467,7 @@ impl Flash {
                     Op::EraseSector => (SECTOR, ERASE_SECTOR),
                     _ => (BLOCK, ERASE_BLOCK),
                 };
-                if !address.is_multiple_of(size) || !layout.writable(self.selected, address, size) {
+                if !address.is_multiple_of(size) || !self.writable(&layout, address, size) {
                     return Err(OpResult::Address);
                 }
                 self.erase(nor, command, address)?;
@@ -456,7 +479,7 @@ impl Flash {
                     return Err(OpResult::Value);
                 }
                 let inside = address % PAGE + length <= PAGE;
-                if !inside || !layout.writable(self.selected, address, length) {
+                if !inside || !self.writable(&layout, address, length) {
                     return Err(OpResult::Address);
                 }
                 nor.write_enable()?;
@@ -616,8 +639,8 @@ impl Flash {
                 Ok(true)
             }
             &mut Job::Saved { settings, copy } => {
-                let copies = settings::load(nor, &layout)?;
-                done(copies.newest() == Some((settings, copy)))
+                let newest = settings::load(nor, &layout)?.newest();
+                done(newest.is_some_and(|(saved, at)| saved == settings && at == copy))
             }
             &mut Job::Forget { copy, left } => {
                 if left == 0 {
@@ -661,7 +684,7 @@ impl Flash {
     fn verify_page<S: SpiDevice>(&self, nor: &mut Nor<S>) -> Result<bool, OpResult> {
         let mut same = true;
         let mut rest = self.buffer.as_slice();
-        nor.each(self.address, self.length, |bytes| {
+        nor.each(self.address, self.length, &mut |bytes| {
             let (head, tail) = rest.split_at_checked(bytes.len()).unwrap_or((&[], &[]));
             same &= head == bytes;
             rest = tail;

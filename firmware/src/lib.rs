@@ -33,6 +33,7 @@
 //! | [`flash`] | the SPI flash: one operation at a time, never blocking; golden and the slot in use cannot be written |
 //! | [`nor`] | the commands of the flash chip |
 //! | [`images`] | which slot loads, and how that changes one byte at a time |
+//! | [`pins`] | puts the configuration of the pins into force, or none |
 //! | [`settings`] | the two copies of what a board keeps over a power cycle |
 //! | [`discovery`] | lets hosts find the board and set its settings, whatever its address |
 //! | [`reserve`] | ARP and ping where there are no services |
@@ -62,6 +63,7 @@ pub mod net;
 pub mod nor;
 pub mod pass;
 pub(crate) mod path_stop;
+pub mod pins;
 pub mod postmortem;
 pub mod reserve;
 pub mod safety;

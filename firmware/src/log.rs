@@ -67,9 +67,38 @@ impl<const SIZE: usize> Ring<SIZE> {
     }
 }
 
+/// The stamp of an event: microseconds since power-up, for a time in clocks. Half words of the time
+/// are divided one after the other: a division of 64 bits would be 750 bytes of ROM.
+pub fn microseconds(clocks: u64, clock_hz: u32) -> u64 {
+    let per_us = clock_hz / 1_000_000;
+    let (mut time, mut rest) = (0u64, 0u32);
+    for shift in [48, 32, 16, 0] {
+        // The rest is less than 4295, so this is less than 2^32.
+        let part = rest << 16 | (clocks >> shift) as u32 & 0xffff;
+        time = time << 16 | u64::from(part.checked_div(per_us).unwrap_or(0));
+        rest = part.checked_rem(per_us).unwrap_or(0);
+    }
+    time
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_stamp_is_the_time_divided_by_the_clocks_of_a_microsecond() {
+        for clocks in [0, 59, 60, 0xffff_ffff, 1 << 32, u64::MAX / 7, u64::MAX] {
+            for clock_hz in [1_000_000, 60_000_000, 125_000_000, u32::MAX] {
+                let wanted = clocks / u64::from(clock_hz / 1_000_000);
+                assert_eq!(
+                    microseconds(clocks, clock_hz),
+                    wanted,
+                    "{clocks} {clock_hz}"
+                );
+            }
+        }
+        assert_eq!(microseconds(u64::MAX, 999_999), 0, "no such clock");
+    }
 
     #[test]
     fn the_newest_bytes_are_where_their_index_says() {

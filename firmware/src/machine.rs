@@ -149,14 +149,16 @@ impl<B: Board> Machine<B> {
         }
     }
 
-    /// Closes the gate, gives every setting its default, reads the board's identity and addresses,
-    /// and ends start-up.
+    /// Closes the gate, gives every setting its default, configures the pins, reads the board's
+    /// identity and addresses, and ends start-up.
     #[inline(never)]
     pub fn wake(&mut self) {
         let ident = self.server.ident;
         self.board.control(Control::Close);
         defaults(&mut self.board, &ident);
-        self.find_itself(&ident);
+        let trailer = Trailer::from_words(self.board.trailer());
+        let factory = self.server.find_pins(&mut self.board, trailer);
+        self.find_itself(factory);
         self.server.start(&mut self.board);
         let now = self.board.now_lo();
         self.housekeeping_at = now;
@@ -166,15 +168,13 @@ impl<B: Board> Machine<B> {
 
     /// Reads the built-in and the saved settings: the board's identity and addresses.
     #[inline(never)]
-    fn find_itself(&mut self, ident: &Ident) {
+    fn find_itself(&mut self, factory: bool) {
         let mut built = Built::new();
-        built.read(&mut self.board, ident);
+        built.read(&mut self.board, &self.server.ident);
         self.names = built.names;
-        let trailer = Trailer::from_words(self.board.trailer());
-        let factory = self.board.factory_pin();
         let flash = &mut self.server.flash;
         let spi = self.board.spi();
-        flash.start(spi, trailer, built.idcode, built.settings, factory);
+        flash.start(spi, built.idcode, built.settings, factory);
         let settings = flash.settings();
         self.server.auth.lock(settings.key);
         if settings.mac != [0; 6] {
@@ -528,14 +528,19 @@ impl Built {
         };
         let us = &mut self.settings;
         for entry in blob.facts() {
-            let text = || core::str::from_utf8(entry.value).unwrap_or("");
+            let text = core::str::from_utf8(entry.value).unwrap_or("");
             match entry.kind {
                 Kind::Mac => us.mac = entry.value.try_into().unwrap_or(us.mac),
                 Kind::Ipv4 => us.ip = entry.value.try_into().map_or(us.ip, u32::from_be_bytes),
                 Kind::Port => us.port = entry.value.try_into().map_or(us.port, u16::from_be_bytes),
-                Kind::Configuration => self.names.configuration = Name::cut(text()),
-                Kind::Platform => self.names.platform = Name::cut(text()),
-                Kind::Fpga => self.idcode = idcode_of(text()),
+                Kind::Configuration | Kind::Platform => {
+                    let name = match entry.kind == Kind::Platform {
+                        true => &mut self.names.platform,
+                        false => &mut self.names.configuration,
+                    };
+                    *name = Name::cut(text);
+                }
+                Kind::Fpga => self.idcode = idcode_of(text),
                 Kind::Board
                 | Kind::Stepgen
                 | Kind::Encoder

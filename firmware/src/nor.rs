@@ -73,21 +73,34 @@ impl<S: SpiDevice> Nor<'_, S> {
         self.at(READ, address, &[], bytes)
     }
 
+    /// Reads big-endian words.
+    #[inline(never)]
+    pub(crate) fn words(&mut self, address: u32, words: &mut [u32]) -> Result<(), OpResult> {
+        let length = 4 * words.len() as u32;
+        let mut places = words.iter_mut();
+        self.each(address, length, &mut |bytes| {
+            for (bytes, word) in bytes.as_chunks().0.iter().zip(&mut places) {
+                *word = u32::from_be_bytes(*bytes);
+            }
+        })
+    }
+
     /// Are all these bytes erased?
     pub fn blank(&mut self, address: u32, length: u32) -> Result<bool, OpResult> {
         let mut blank = true;
-        self.each(address, length, |bytes| {
+        self.each(address, length, &mut |bytes| {
             blank &= bytes.iter().all(|byte| *byte == 0xff);
         })?;
         Ok(blank)
     }
 
-    /// Reads bytes, a few at a time.
+    /// Reads bytes, a few at a time. One function for all that look at them: that is smaller.
+    #[inline(never)]
     pub(crate) fn each(
         &mut self,
         address: u32,
         length: u32,
-        mut look: impl FnMut(&[u8]),
+        look: &mut dyn FnMut(&[u8]),
     ) -> Result<(), OpResult> {
         let mut chunk = [0; 64];
         let mut done = 0;

@@ -8,6 +8,7 @@
 //! counted by reason and has no other effect.
 
 mod ahead;
+mod configured;
 mod judge;
 
 use self::judge::{COMMAND_END, FLASH_END, Judge, PANIC_END, check_read, writes_of};
@@ -18,11 +19,13 @@ use crate::flash::Flash;
 use crate::link::Link;
 use crate::pass::Pass;
 use crate::path_stop::PathStop;
+use crate::pins;
+use crate::pins::Pins;
 use crate::postmortem::Boot;
 use crate::safety::{Effects, Event, Safety};
 use crate::session::{Peer, Session};
 use crate::{config, describe, log};
-use wire::describe::{FEATURE_KEY, JobsState, OBSTACLE_FLASH};
+use wire::describe::{FEATURE_KEY, JobsState};
 use wire::etherbone::{self, Packet, Record, ReplyWriter};
 use wire::exchange::{STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord, status_word};
 use wire::map::BoardConfig;
@@ -83,6 +86,7 @@ pub struct Server {
     pub(crate) safety: Safety,
     pub(crate) counters: Counters,
     pub(crate) flash: Flash,
+    pins: Pins,
     pub(crate) link: Link,
     /// The state word without the gate; every answer begins with it.
     state_word: u32,
@@ -135,6 +139,7 @@ impl Server {
                 long_way: LongWay::None,
             },
             flash: Flash::new(),
+            pins: Pins::new(),
             link: Link::new(),
             state_word: 0,
             path_stop: PathStop::new(),
@@ -271,14 +276,14 @@ impl Server {
     pub(crate) fn poll_flash<B: Board>(&mut self, board: &mut B) -> bool {
         let now = board.now();
         let done = self.flash.poll(board.spi(), now, self.ident.clock_hz);
-        self.safety.hold(self.flash.busy());
+        self.hold();
         done
     }
 
     /// Begins to save settings, for a sender that was not refused.
     pub(crate) fn save<B: Board>(&mut self, board: &mut B, settings: wire::settings::Settings) {
         self.flash.start_save(board.spi(), settings);
-        self.safety.hold(self.flash.busy());
+        self.hold();
     }
 
     fn refresh(&mut self) {
@@ -613,6 +618,7 @@ impl Server {
             // nothing.
             self.rest(board);
         }
+        let mut levels = false;
         for (address, value) in writes {
             match address {
                 map::SESSION_ACQUIRE => {
@@ -631,15 +637,22 @@ impl Server {
                 map::SESSION_SEGMENTS => self.session.count_segments(),
                 map::FLASH..FLASH_END => {
                     self.flash.write_word(board.spi(), address, value);
-                    self.safety.hold(self.flash.busy());
+                    self.hold();
                 }
-                map::SERVICE.. => board.csr_write(address, value),
+                map::SERVICE.. => {
+                    board.csr_write(address, value);
+                    levels = true;
+                }
                 _ => {
                     if let Some(setting) = config::setting_at(address, self.ident.channels) {
                         board.set(setting, value);
+                        levels |= pins::decides(setting);
                     }
                 }
             }
+        }
+        if levels {
+            self.follow_settings(board);
         }
     }
 
@@ -710,9 +723,7 @@ impl Server {
         let state = self.state(board.gate(), self.session.is_owner(peer));
         let close = last_close(board);
         let mut describe = describe::describe(&self.ident, self.abi, self.boot, state, close);
-        if self.flash.busy() {
-            describe.obstacles |= OBSTACLE_FLASH;
-        }
+        describe.obstacles |= self.held_by();
         if self.auth.locked() {
             describe.features |= FEATURE_KEY;
         }

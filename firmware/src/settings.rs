@@ -16,12 +16,8 @@ pub struct Copies([Option<Settings>; 2]);
 pub fn load<S: SpiDevice>(nor: &mut Nor<S>, layout: &Layout) -> Result<Copies, OpResult> {
     let mut copies = [None; 2];
     for (copy, place) in (0..).zip(&mut copies) {
-        let mut bytes = [0; WORDS * 4];
         let mut words = [0; WORDS];
-        nor.read(layout.settings_copy(copy), &mut bytes)?;
-        for (word, bytes) in words.iter_mut().zip(bytes.as_chunks().0) {
-            *word = u32::from_be_bytes(*bytes);
-        }
+        nor.words(layout.settings_copy(copy), &mut words)?;
         *place = Settings::parse(&words).ok();
     }
     Ok(Copies(copies))

@@ -263,6 +263,8 @@ fn stops(board: &Board, machine: &mut BenchMachine, command: &mut Command) {
         assert_eq!(status.estop, 1 << k, "e-stop {k}");
         machine.inputs(quiet(board));
         machine.run_clocks(100);
+        // Its position may be another one.
+        machine.acquire();
         machine.rearm(command);
     }
     machine.rig().ext_reset(true);

@@ -23,7 +23,8 @@
 //!
 //! `Read` and `Crc` reach everything but the settings, which contain the key. `EraseSector`,
 //! `EraseBlock` and `Program` reach only the slot that is not selected, and the copy of the pins'
-//! configuration that is not in force. The rest of the flash changes only by `Select`, `SaveSettings`, `ForgetSettings` and `Protect`.
+//! configuration that is not in force. The rest of the flash changes only by `Select`,
+//! `SaveSettings`, `ForgetSettings` and `Protect`.
 
 use crate::codes::codes;
 

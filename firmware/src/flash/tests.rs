@@ -8,7 +8,8 @@ const FPGA: u32 = 0x4111_1043;
 
 fn started(chip: &mut Chip) -> Flash {
     let mut flash = Flash::new();
-    flash.start(chip, Trailer::NONE, Some(FPGA), Settings::default(), false);
+    flash.find(chip, Trailer::NONE);
+    flash.start(chip, Some(FPGA), Settings::default(), false);
     flash
 }
 
@@ -84,13 +85,8 @@ fn the_chip_is_known_by_its_ids() {
 #[test]
 fn without_a_flash_every_operation_says_so() {
     let mut flash = Flash::new();
-    flash.start(
-        &mut NoFlash,
-        Trailer::NONE,
-        None,
-        Settings::default(),
-        false,
-    );
+    flash.find(&mut NoFlash, Trailer::NONE);
+    flash.start(&mut NoFlash, None, Settings::default(), false);
     assert_eq!((flash.jedec(), flash.uid()), (0, [0; 2]));
     for op in Op::ALL {
         flash.start_op(&mut NoFlash, *op);
@@ -227,6 +223,52 @@ fn nothing_but_the_slot_that_is_not_selected_can_be_erased_or_programmed() {
 }
 
 #[test]
+fn of_the_pins_configurations_only_the_one_that_is_not_the_newest_can_be_written() {
+    let mut chip = Chip::new(0x40_0000);
+    let mut flash = started(&mut chip);
+    let layout = *flash.layout().unwrap();
+    let ops = [Op::EraseSector, Op::Program];
+    for (verdict, newest) in [
+        (Verdict::Fixed, None),
+        (Verdict::Missing, None),
+        (Verdict::InForce, Some(0)),
+        (Verdict::FactoryPin, Some(1)),
+        (Verdict::Output, Some(1)),
+    ] {
+        flash.pins = Loaded {
+            verdict,
+            copy: newest,
+        };
+        for (copy, op) in [0, 1].into_iter().flat_map(|n| ops.map(|op| (n, op))) {
+            let area = layout.pins_copy(copy);
+            let wanted = match verdict == Verdict::Fixed || newest == Some(copy) {
+                true => OpResult::Address,
+                false => OpResult::Ok,
+            };
+            for at in [area.start, area.end - SECTOR] {
+                let result = run(&mut flash, &mut chip, op, at, PAGE);
+                assert_eq!(result, wanted, "{op} copy {copy}, {verdict}");
+            }
+            for op in [Op::Read, Op::Crc] {
+                let result = run(&mut flash, &mut chip, op, area.start, PAGE);
+                assert_eq!(result, OpResult::Ok, "{op} copy {copy}");
+            }
+        }
+    }
+    // Not a block, which is more than a copy; and neither neighbour.
+    flash.pins.copy = None;
+    for (op, at) in [
+        (Op::EraseBlock, layout.pins_copy(0).start & !0xffff),
+        (Op::EraseSector, layout.pins_copy(0).start - SECTOR),
+        (Op::EraseSector, layout.pins_copy(1).end),
+        (Op::Program, layout.pins_copy(1).end),
+    ] {
+        let result = run(&mut flash, &mut chip, op, at, PAGE);
+        assert_eq!(result, OpResult::Address, "{op} at {at:x}");
+    }
+}
+
+#[test]
 fn a_chip_that_does_not_do_as_told_is_noticed() {
     let mut chip = Chip::new(0x40_0000);
     image(&mut chip, Slot::B, 500, 1);
@@ -352,7 +394,8 @@ fn forgotten_settings_are_gone_and_a_held_factory_pin_only_ignores_them() {
     };
     save(&mut flash, &mut chip, &settings);
     let mut held = Flash::new();
-    held.start(&mut chip, Trailer::NONE, None, Settings::default(), true);
+    held.find(&mut chip, Trailer::NONE);
+    held.start(&mut chip, None, Settings::default(), true);
     assert_eq!(
         (held.settings().ip, held.origin()),
         (Settings::default().ip, Origin::FactoryPin)
@@ -396,13 +439,8 @@ fn only_a_whole_image_for_this_fpga_is_selected() {
     );
     chip.cells[at + 699] ^= 1;
     let mut other = Flash::new();
-    other.start(
-        &mut chip,
-        Trailer::NONE,
-        Some(0x4111_2043),
-        Settings::default(),
-        false,
-    );
+    other.find(&mut chip, Trailer::NONE);
+    other.start(&mut chip, Some(0x4111_2043), Settings::default(), false);
     assert_eq!(
         run(&mut other, &mut chip, Op::Select, 1, 0),
         OpResult::Image,
@@ -472,13 +510,7 @@ fn what_runs_is_told_from_the_trailer_and_the_selected_slot() {
         (Role::Golden, 2, Running::Golden),
     ] {
         let mut flash = Flash::new();
-        flash.start(
-            &mut chip,
-            Trailer { build_id, role },
-            None,
-            Settings::default(),
-            false,
-        );
+        flash.find(&mut chip, Trailer { build_id, role });
         assert_eq!(flash.running(), running);
     }
 }
@@ -494,7 +526,7 @@ fn the_slot_of_the_running_image_is_its_own_only_while_it_has_its_build() {
     let mut flash = Flash::new();
     let (build_id, role) = (2, Role::Image);
     let trailer = Trailer { build_id, role };
-    flash.start(&mut chip, trailer, None, Settings::default(), false);
+    flash.find(&mut chip, trailer);
     let start = Layout::of(0x40_0000).unwrap().slot_b.start;
     assert_eq!(flash.image(&mut chip), Some((start, 100)));
     image(&mut chip, Slot::B, 200, 3);
@@ -542,13 +574,9 @@ proptest::proptest! {
 fn rig() -> Rig {
     let mut rig = Rig::new();
     let Rig { server, board, .. } = &mut rig;
-    server.flash.start(
-        &mut board.chip,
-        Trailer::NONE,
-        None,
-        Settings::default(),
-        false,
-    );
+    server.flash.find(&mut board.chip, Trailer::NONE);
+    let settings = Settings::default();
+    server.flash.start(&mut board.chip, None, settings, false);
     rig
 }
 

@@ -267,6 +267,12 @@ impl Board for Soc {
         blob_word(word)
     }
 
+    fn describe(&mut self, word: usize, value: u32) {
+        // SAFETY: aligned; the lib has checked the length of the description. Boards whose pins are
+        // configured have a RAM there.
+        unsafe { write_volatile((regmap::BOARD_ROM_BASE as *mut u32).add(word), value) }
+    }
+
     fn led(&mut self, pattern: Led) {
         hal::StatusLed::new(&self.p.led).show(pattern);
     }

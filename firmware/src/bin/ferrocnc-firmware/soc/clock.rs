@@ -9,6 +9,5 @@ pub fn microseconds() -> u64 {
     timebase.snapshot().write(|w| unsafe { w.bits(1) });
     let now = u64::from(timebase.now_hi().read().bits()) << 32
         | u64::from(timebase.now_lo().read().bits());
-    let per_us = u64::from(ident.sys_clk_hz().read().bits() / 1_000_000);
-    now.checked_div(per_us).unwrap_or(0)
+    firmware::log::microseconds(now, ident.sys_clk_hz().read().bits())
 }
