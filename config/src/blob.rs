@@ -13,7 +13,7 @@ pub fn blob(board: &Board) -> Result<Vec<u8>, Error> {
     numbered(board, |class| (0..).zip(board.of(class)).collect())
 }
 
-/// The same with the channels of a class under these numbers, which ascend.
+/// The same with the channels of a class under these numbers.
 pub(crate) fn numbered<'b>(
     board: &'b Board,
     channels: impl Fn(Class) -> Vec<(u8, &'b Channel)>,

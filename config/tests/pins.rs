@@ -126,7 +126,8 @@ fn assert_is(board: &Board, bytes: &[u8], built: Built) {
     assert_described(board, &stored, headers);
 }
 
-/// The description has every channel, inputs and outputs under the numbers of their lines.
+/// The description has every channel in the file's order, inputs and outputs under the numbers of
+/// their lines.
 fn assert_described(board: &Board, stored: &Stored<'_>, headers: u8) {
     let blob = Blob::new_checked(stored.description).unwrap();
     assert_eq!(blob.text(Kind::Platform, 0), Some(&*board.platform.name));
@@ -138,7 +139,7 @@ fn assert_described(board: &Board, stored: &Stored<'_>, headers: u8) {
         Kind::Input,
         Kind::Output,
     ]) {
-        let mut wanted: Vec<(u8, &str)> = (0..)
+        let wanted: Vec<(u8, &str)> = (0..)
             .zip(board.of(class))
             .map(|(n, channel)| match class {
                 Class::Input | Class::Output => {
@@ -150,7 +151,6 @@ fn assert_described(board: &Board, stored: &Stored<'_>, headers: u8) {
                 _ => (n, channel.name.as_str()),
             })
             .collect();
-        wanted.sort_unstable();
         let found: Vec<(u8, &str)> = { blob.entries() }
             .filter(|entry| entry.kind == kind)
             .map(|entry| (entry.channel, std::str::from_utf8(entry.value).unwrap()))

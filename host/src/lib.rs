@@ -113,6 +113,8 @@ pub mod net;
 #[cfg(feature = "tool")]
 pub mod panel;
 #[cfg(feature = "tool")]
+pub mod pins;
+#[cfg(feature = "tool")]
 pub mod provision;
 pub mod replace;
 #[cfg(feature = "tool")]

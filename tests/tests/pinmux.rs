@@ -233,7 +233,9 @@ fn outputs(board: &Board, machine: &mut BenchMachine, command: &mut Command) {
 
 /// Each input alone is in the status block, under the number of its line.
 fn inputs(board: &Board, machine: &mut BenchMachine, command: &mut Command) {
-    let ours: u64 = (0..board.of(Class::Input).len()).map(|n| bit(board, Class::Input, n)).sum();
+    let ours: u64 = (0..board.of(Class::Input).len())
+        .map(|n| bit(board, Class::Input, n))
+        .sum();
     let at_rest = machine.exchange_and_wait(command).gpio_in;
     for (n, input) in board.of(Class::Input).iter().enumerate() {
         if input.estop.is_some() {

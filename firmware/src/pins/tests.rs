@@ -7,7 +7,7 @@ use wire::board::{self, Kind};
 use wire::crc::crc32;
 use wire::describe::{CHANNELS_AT, OBSTACLE_PINS, OBSTACLES_AT, address};
 use wire::flash::{Op, PAGE, SECTOR};
-use wire::pins::{LINES_MAX, MAGIC, OUTPUTS_AT, ROUTE_WORDS, VERSION};
+use wire::pins::{LEVELS_AT, LINES_MAX, MAGIC, OUTPUTS_AT, ROUTE_WORDS, VERSION};
 use wire::{MAX_WORDS, Refusal, State};
 
 const PLATFORM: u32 = 7;
@@ -29,6 +29,7 @@ fn head(driven: &[Routed], inputs: &[Routed]) -> Head {
     let mut words = [u32::from_le_bytes([NONE; 4]); HEAD_WORDS];
     words[..OUTPUTS_AT].fill(0);
     words[DRIVES_AT..INPUTS_AT].fill(0);
+    words[LEVELS_AT..].fill(0);
     words[5..9].copy_from_slice(&[EIGHT.to_word(), PLATFORM, USED, 56 | 56 << 8]);
     for (line, route) in driven {
         to(&mut words[OUTPUTS_AT..], *line, *route);
@@ -549,6 +550,20 @@ fn levels_at_rest_follow_the_settings_and_are_written_only_if_they_change() {
     assert_eq!(rig.write(mode, 1), Err(Refusal::Armed));
     assert_eq!(rig.write(map::CONFIG_PWM, 600), Ok(()), "a period");
     assert_eq!(rig.board.mux.log, []);
+}
+
+#[test]
+fn outputs_rest_at_the_levels_of_the_configuration_before_a_host_is_there() {
+    let mut head = example();
+    // An output of each word is safe high, and inverted in the second.
+    head.0[LEVELS_AT..].copy_from_slice(&[1 << 4, 1 << 8, 0, 1 << 8]);
+    let mut rig = started(board([Some(&stored(&head, 1)), None]));
+    let safe = |rig: &Rig, line| bit(rig, pinmux_out::SAFE0, line);
+    // The route of line 40 inverts once more.
+    assert_eq!([4, 40].map(|line| safe(&rig, line)), [true, true]);
+    let read = |rig: &mut Rig, which| rig.board.setting(Setting::Board(which));
+    assert_eq!(read(&mut rig, BoardConfig::GpioSafe), 1 << 4);
+    assert_eq!(read(&mut rig, BoardConfig::GpioInvertHigh), 1 << 8);
 }
 
 #[test]

@@ -77,9 +77,9 @@ impl Mind {
             gateware_version: 0x0000_0100,
             clock_hz: CLOCK_HZ,
             channels: self.channels,
-            features: match self.key {
-                Some(_) => describe::FEATURE_KEY,
-                None => 0,
+            features: {
+                let key = self.key.map_or(0, |_| describe::FEATURE_KEY);
+                key | self.pins.map_or(0, |_| describe::FEATURE_PINS)
             },
             boot_id: self.boot_id,
             blob_words: self.blob().len() as u32 / 4,

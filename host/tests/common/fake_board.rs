@@ -11,6 +11,7 @@ mod axis;
 mod description;
 pub mod flash;
 mod knobs;
+mod pins;
 pub mod rig;
 mod serve;
 mod time;
@@ -86,6 +87,8 @@ pub struct Mind {
     pub flash: flash::FakeFlash,
     held_back: Option<Vec<u32>>,
     pub names: Vec<(u8, u8, String)>,
+    /// The image's pins are configured.
+    pub pins: Option<pins::FakePins>,
     /// A whole description in place of what is made of the names.
     pub described: Option<Vec<u8>>,
     last_status: Status,
@@ -136,6 +139,7 @@ impl Mind {
                 .iter()
                 .map(|(kind, channel, text)| (*kind, *channel, (*text).to_owned()))
                 .collect(),
+            pins: None,
             described: None,
             last_status,
         }
@@ -158,6 +162,7 @@ impl Mind {
         self.close(State::Faulted, FaultReason::FirmwareFault);
         self.owner = None;
         self.key = Key::new(self.flash.settings.key);
+        self.load_pins();
     }
 
     /// Everything starts again.

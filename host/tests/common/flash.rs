@@ -15,6 +15,7 @@ use wire::flash::{
     BLOCK, Layout, LinkWord, Op, OpResult, OpWord, Origin, PAGE, Running, SECTOR, Slot,
 };
 use wire::images::Meta;
+use wire::pins::Loaded;
 use wire::settings::{self, Settings, mac_of_uid};
 use wire::{LinkSpeed, MAX_PAYLOAD, MAX_WORDS, Name, map};
 
@@ -33,6 +34,8 @@ pub struct FakeFlash {
     pub protected: bool,
     pub settings: Settings,
     pub origin: Origin,
+    /// What became of the configuration of the pins, if they are configured.
+    pub pins: Option<Loaded>,
     /// Every operation done, in order.
     pub done: Vec<(Op, u32)>,
     /// An operation is seen running so many times.
@@ -65,6 +68,7 @@ impl Default for FakeFlash {
             protected: true,
             settings: Settings::default(),
             origin: Origin::BuiltIn,
+            pins: None,
             done: Vec::new(),
             looks: 1,
             lose_save: false,
@@ -204,7 +208,15 @@ impl FakeFlash {
     fn perform(&mut self, op: Op) -> OpResult {
         let layout = self.layout();
         let (at, length) = (self.address as usize, self.length as usize);
-        let may = |length: u32| layout.writable(self.selected, self.address, length);
+        let of_pins = |length: u32| {
+            let Some(loaded) = self.pins else {
+                return false;
+            };
+            let mut others = (0..2).filter(|copy| loaded.copy != Some(*copy));
+            others.any(|copy| layout.pins_copy(copy).contains(self.address, length))
+        };
+        let may =
+            |length: u32| layout.writable(self.selected, self.address, length) || of_pins(length);
         let mut page = [0; PAGE as usize];
         wire::words_to_bytes(&self.buffer, &mut page);
         match op {

@@ -159,6 +159,8 @@ impl Mind {
                 self.challenge(from)[(address - map::SESSION_CHALLENGE) as usize / 4]
             }
             map::CONFIG..map::COMMAND => self.setting(address),
+            map::FLASH_PINS => self.loaded(),
+            map::SERVICE.. => self.ident(address),
             map::FLASH..map::SERVICE => {
                 let link = self.link();
                 self.flash.read(address, link)

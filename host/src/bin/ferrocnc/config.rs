@@ -1,9 +1,10 @@
-//! `ferrocnc config`: writes, checks, shows and draws board files, and imports those of other
-//! projects. Only `diff` needs a board.
+//! `ferrocnc config`: writes, checks, shows and draws board files, imports those of other projects,
+//! and gives them to boards whose pins are configured. Only `diff`, `apply` and `read` need a board.
 
 mod check;
 mod diff;
 mod drawing;
+mod pins;
 
 pub(crate) use check::check_text;
 pub(crate) use diff::differences;
@@ -52,6 +53,11 @@ pub(crate) enum ConfigCommand {
         #[arg(value_name = "BOARD")]
         address: String,
     },
+    /// Give a board whose pins are configured this board file: checked, stored beside the one in
+    /// force, and in force after the restart that ends the command.
+    Apply(pins::Apply),
+    /// The board file that a board's pins follow, as it was applied.
+    Read(pins::Read),
     /// Draw the headers with what is on every pin: in the terminal, or as SVG to print and solder
     /// by.
     Pinout {
@@ -190,6 +196,8 @@ pub(crate) fn run(command: &ConfigCommand, as_json: bool) -> Result<()> {
             say(&text)
         }
         ConfigCommand::Diff { file, address } => diff::diff(file, address, as_json),
+        ConfigCommand::Apply(arguments) => pins::apply(arguments, as_json),
+        ConfigCommand::Read(arguments) => pins::read(arguments, as_json),
         ConfigCommand::Pinout {
             what,
             output,
@@ -386,11 +394,17 @@ pub(crate) fn target(name: &str, output: Option<&Path>, force: bool) -> Result<P
         Some(file) => file.to_owned(),
         None => PathBuf::from(format!("{name}.toml")),
     };
+    may_be_board(&file)?;
+    consent::may_write(&file, force)?;
+    Ok(file)
+}
+
+/// Refuses another ending than a board file's.
+fn may_be_board(file: &Path) -> Result<()> {
     if file.extension().is_none_or(|ending| ending != "toml") {
         bail!("{}: a board file ends in .toml", file.display());
     }
-    consent::may_write(&file, force)?;
-    Ok(file)
+    Ok(())
 }
 
 pub(crate) fn stem(path: &Path) -> String {

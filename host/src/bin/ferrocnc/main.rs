@@ -61,7 +61,7 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum ToolCommand {
-    /// Board files: write, check, show, draw and import them. No board is needed.
+    /// Board files: write, check, show, draw and import them, and give one to a board.
     #[command(subcommand)]
     Config(config::ConfigCommand),
     /// A machine for LinuxCNC: its board file, HAL file and INI file of one machine.toml. No board
