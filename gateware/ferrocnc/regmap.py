@@ -508,9 +508,9 @@ PADS = Bank("pads", 67, "pads", "Levels at the pads that the board drives, as th
         Field("dir", 16, 16, "Bit n: the second pad of PWM n."),
     )),
     Reg("outputs", "ro", "Pads of the first 32 outputs, one bit per output; `gpio.out_now` is what "
-        "drives them."),
+        "drives them. On an image the header lines 0 to 31, driven or not."),
     Reg("outputs_high", "ro", "Pads of outputs 32 to 63, one bit per output; `gpio_high.out_now` "
-        "is what drives them."),
+        "is what drives them. On an image the header lines from 32 on."),
 ))
 
 
@@ -588,7 +588,7 @@ def _status():
                 "the sample before."),
         )),
         Reg("estop", "ro", "Which e-stop inputs have been active since the last clear, one bit per "
-            "input, at the last sample strobe."),
+            "input, at the last sample strobe. On an image its four e-stops, bits 3:0."),
         Reg("left", "ro", "Clocks the watchdog had left at the last sample strobe; as "
             "`watchdog.remaining`."),
     ]

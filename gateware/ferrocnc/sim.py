@@ -259,9 +259,9 @@ def _self_contained(top):
 
 def elaborate_cores(board, out):
     """Writes cores.v, the cores and their banks with the CSR bus as ports, and the map as
-    cores.map: for `tests/cores.cpp`. The stream into the receive slots and the way into transmit
-    slot 0 are ports, too. The SDRAM's controller is not included. Of an image, what is between cores
-    and multiplexer are ports, too: all of them outputs."""
+    cores.map: for `tests/cores.cpp` and `image.cpp`. The stream into the receive slots and the way
+    into transmit slot 0 are ports, too. The SDRAM's controller is not included. Of an image, what
+    is between cores and multiplexer are ports, too: all of them outputs."""
     out = Path(out).resolve()
     out.mkdir(parents=True, exist_ok=True)
     cores = banks.Cores(board.channels, board.sys_clk_hz, len(blob(board)) // 4, estop_mask=board.estop_mask, estop_level=board.estop_level,

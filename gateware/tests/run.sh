@@ -57,6 +57,14 @@ run() {  # core board directory arguments of the bench
         PYTHONPATH=$here/.. "$root/target/venv/bin/python" -m ferrocnc elaborate --target cores \
             --board "$(board_file "$board")" --out "$dir" >/dev/null || return 1
     fi
+    # the same of an image, with the multiplexer
+    if [ "$core" = image ]; then
+        top=$dir/cores.v module=cores
+        flags="-DMAP='\"$dir/cores.map\"' -DPLATFORM=$(printf %s "$board" | "$root/target/venv/bin/python" -c "import sys, zlib; print(zlib.crc32(sys.stdin.buffer.read()))")u"
+        lint="-Wno-lint -Wno-style -Wno-COMBDLY"
+        PYTHONPATH=$here/.. "$root/target/venv/bin/python" -m ferrocnc elaborate --target cores \
+            --platform "$board" --channels 8/8/8 --out "$dir" >/dev/null || return 1
+    fi
     # the board's PHY with LiteEth's MAC behind it and the ECP5's pins in front
     if [ "$core" = rgmii ]; then
         top=$dir/rgmii.v more=$here/ecp5_models.v lint="-Wno-lint -Wno-style -Wno-COMBDLY -Wno-MULTITOP -Wno-UNOPTFLAT"
@@ -101,6 +109,7 @@ for bench in "$here"/*.cpp; do
     [ -z "$only" ] || [ "$only" = "$core" ] || continue
     case $core in
         cores) boards=${BOARD:-wide} ;;
+        image) boards=5a-75b-8.0 ;;
         fast_path) boards=${BOARD:-mill6 max smallest} ;;
         *) boards=mill6 ;;
     esac

@@ -9464,7 +9464,7 @@ pub mod status {
         pub const fn flags2(&self) -> &Flags2 {
             &self.flags2
         }
-        #[doc = "0x18 - Which e-stop inputs have been active since the last clear, one bit per input, at the last sample strobe."]
+        #[doc = "0x18 - Which e-stop inputs have been active since the last clear, one bit per input, at the last sample strobe. On an image its four e-stops, bits 3:0."]
         #[inline(always)]
         pub const fn estop(&self) -> &Estop {
             &self.estop
@@ -10240,10 +10240,10 @@ pub mod status {
         #[doc = "`reset()` method sets FLAGS2 to value 0"]
         impl crate::Resettable for Flags2Spec {}
     }
-    #[doc = "ESTOP (r) register accessor: Which e-stop inputs have been active since the last clear, one bit per input, at the last sample strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`estop::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@estop`] module"]
+    #[doc = "ESTOP (r) register accessor: Which e-stop inputs have been active since the last clear, one bit per input, at the last sample strobe. On an image its four e-stops, bits 3:0.\n\nYou can [`read`](crate::Reg::read) this register and get [`estop::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@estop`] module"]
     #[doc(alias = "ESTOP")]
     pub type Estop = crate::Reg<estop::EstopSpec>;
-    #[doc = "Which e-stop inputs have been active since the last clear, one bit per input, at the last sample strobe."]
+    #[doc = "Which e-stop inputs have been active since the last clear, one bit per input, at the last sample strobe. On an image its four e-stops, bits 3:0."]
     pub mod estop {
         #[doc = "Register `ESTOP` reader"]
         pub type R = crate::R<EstopSpec>;
@@ -10252,7 +10252,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Which e-stop inputs have been active since the last clear, one bit per input, at the last sample strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`estop::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Which e-stop inputs have been active since the last clear, one bit per input, at the last sample strobe. On an image its four e-stops, bits 3:0.\n\nYou can [`read`](crate::Reg::read) this register and get [`estop::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct EstopSpec;
         impl crate::RegisterSpec for EstopSpec {
             type Ux = u32;
@@ -16453,12 +16453,12 @@ pub mod pads {
         pub const fn pwm(&self) -> &Pwm {
             &self.pwm
         }
-        #[doc = "0x0c - Pads of the first 32 outputs, one bit per output; `gpio.out_now` is what drives them."]
+        #[doc = "0x0c - Pads of the first 32 outputs, one bit per output; `gpio.out_now` is what drives them. On an image the header lines 0 to 31, driven or not."]
         #[inline(always)]
         pub const fn outputs(&self) -> &Outputs {
             &self.outputs
         }
-        #[doc = "0x10 - Pads of outputs 32 to 63, one bit per output; `gpio_high.out_now` is what drives them."]
+        #[doc = "0x10 - Pads of outputs 32 to 63, one bit per output; `gpio_high.out_now` is what drives them. On an image the header lines from 32 on."]
         #[inline(always)]
         pub const fn outputs_high(&self) -> &OutputsHigh {
             &self.outputs_high
@@ -16563,10 +16563,10 @@ pub mod pads {
         #[doc = "`reset()` method sets PWM to value 0"]
         impl crate::Resettable for PwmSpec {}
     }
-    #[doc = "OUTPUTS (r) register accessor: Pads of the first 32 outputs, one bit per output; `gpio.out_now` is what drives them.\n\nYou can [`read`](crate::Reg::read) this register and get [`outputs::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@outputs`] module"]
+    #[doc = "OUTPUTS (r) register accessor: Pads of the first 32 outputs, one bit per output; `gpio.out_now` is what drives them. On an image the header lines 0 to 31, driven or not.\n\nYou can [`read`](crate::Reg::read) this register and get [`outputs::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@outputs`] module"]
     #[doc(alias = "OUTPUTS")]
     pub type Outputs = crate::Reg<outputs::OutputsSpec>;
-    #[doc = "Pads of the first 32 outputs, one bit per output; `gpio.out_now` is what drives them."]
+    #[doc = "Pads of the first 32 outputs, one bit per output; `gpio.out_now` is what drives them. On an image the header lines 0 to 31, driven or not."]
     pub mod outputs {
         #[doc = "Register `OUTPUTS` reader"]
         pub type R = crate::R<OutputsSpec>;
@@ -16575,7 +16575,7 @@ pub mod pads {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Pads of the first 32 outputs, one bit per output; `gpio.out_now` is what drives them.\n\nYou can [`read`](crate::Reg::read) this register and get [`outputs::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Pads of the first 32 outputs, one bit per output; `gpio.out_now` is what drives them. On an image the header lines 0 to 31, driven or not.\n\nYou can [`read`](crate::Reg::read) this register and get [`outputs::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct OutputsSpec;
         impl crate::RegisterSpec for OutputsSpec {
             type Ux = u32;
@@ -16585,10 +16585,10 @@ pub mod pads {
         #[doc = "`reset()` method sets OUTPUTS to value 0"]
         impl crate::Resettable for OutputsSpec {}
     }
-    #[doc = "OUTPUTS_HIGH (r) register accessor: Pads of outputs 32 to 63, one bit per output; `gpio_high.out_now` is what drives them.\n\nYou can [`read`](crate::Reg::read) this register and get [`outputs_high::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@outputs_high`] module"]
+    #[doc = "OUTPUTS_HIGH (r) register accessor: Pads of outputs 32 to 63, one bit per output; `gpio_high.out_now` is what drives them. On an image the header lines from 32 on.\n\nYou can [`read`](crate::Reg::read) this register and get [`outputs_high::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@outputs_high`] module"]
     #[doc(alias = "OUTPUTS_HIGH")]
     pub type OutputsHigh = crate::Reg<outputs_high::OutputsHighSpec>;
-    #[doc = "Pads of outputs 32 to 63, one bit per output; `gpio_high.out_now` is what drives them."]
+    #[doc = "Pads of outputs 32 to 63, one bit per output; `gpio_high.out_now` is what drives them. On an image the header lines from 32 on."]
     pub mod outputs_high {
         #[doc = "Register `OUTPUTS_HIGH` reader"]
         pub type R = crate::R<OutputsHighSpec>;
@@ -16597,7 +16597,7 @@ pub mod pads {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Pads of outputs 32 to 63, one bit per output; `gpio_high.out_now` is what drives them.\n\nYou can [`read`](crate::Reg::read) this register and get [`outputs_high::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Pads of outputs 32 to 63, one bit per output; `gpio_high.out_now` is what drives them. On an image the header lines from 32 on.\n\nYou can [`read`](crate::Reg::read) this register and get [`outputs_high::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct OutputsHighSpec;
         impl crate::RegisterSpec for OutputsHighSpec {
             type Ux = u32;

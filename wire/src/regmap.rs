@@ -602,7 +602,7 @@ pub mod status {
     /// Its lowest bit.
     pub const FLAGS2_ILLEGAL_SHIFT: u32 = 16;
     /// Which e-stop inputs have been active since the last clear, one bit per input, at the last
-    /// sample strobe. (ro)
+    /// sample strobe. On an image its four e-stops, bits 3:0. (ro)
     pub const ESTOP: usize = 6;
     /// Clocks the watchdog had left at the last sample strobe; as `watchdog.remaining`. (ro)
     pub const LEFT: usize = 7;
@@ -980,9 +980,11 @@ pub mod pads {
     pub const PWM_DIR: u32 = 0xffff0000;
     /// Its lowest bit.
     pub const PWM_DIR_SHIFT: u32 = 16;
-    /// Pads of the first 32 outputs, one bit per output; `gpio.out_now` is what drives them. (ro)
+    /// Pads of the first 32 outputs, one bit per output; `gpio.out_now` is what drives them. On an
+    /// image the header lines 0 to 31, driven or not. (ro)
     pub const OUTPUTS: usize = 3;
-    /// Pads of outputs 32 to 63, one bit per output; `gpio_high.out_now` is what drives them. (ro)
+    /// Pads of outputs 32 to 63, one bit per output; `gpio_high.out_now` is what drives them. On an
+    /// image the header lines from 32 on. (ro)
     pub const OUTPUTS_HIGH: usize = 4;
 }
 
