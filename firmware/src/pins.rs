@@ -12,7 +12,9 @@
 
 use crate::cores::{Board, Ident, Setting};
 use crate::nor::Nor;
+use core::ops::RangeInclusive;
 use embedded_hal::spi::SpiDevice;
+use wire::board::{HEADER_LEN, LIST};
 use wire::crc::Crc32;
 use wire::describe::{Channels, FEATURE_PINS};
 use wire::flash::Layout;
@@ -29,8 +31,11 @@ const LOOKS_MAX: u32 = 100;
 const LEVEL_WORDS: usize = pinmux_out::DRIVES0 - pinmux_out::SAFE0;
 /// Words of driven lines.
 const DRIVE_WORDS: usize = INPUTS_AT - DRIVES_AT;
-/// The length of a board blob, in words from its beginning.
+/// The length of a board blob and its CRC, in words from its beginning.
 const BLOB_LENGTH_AT: usize = 2;
+const BLOB_CRC_AT: usize = 3;
+/// Entries of a board blob about channels: [`wire::board::Kind`], from `Stepgen` on.
+const CHANNEL_KINDS: RangeInclusive<u8> = 3..=LIST;
 
 /// The settings that a configuration has, in the order of [`Head::levels`].
 const LEVELS: [BoardConfig; 4] = [
@@ -113,8 +118,8 @@ impl Pins {
             if !self.rest(board) {
                 verdict = Verdict::Refused;
             }
+            forget_channels(board);
         }
-        // An earlier start may have left a longer description than the image's.
         let words = board.blob(BLOB_LENGTH_AT) / 4;
         ident.blob_words = words.min(BOARD_ROM_SIZE as u32 / 4);
         (Loaded { verdict, copy }, factory)
@@ -230,6 +235,33 @@ fn whole<S: SpiDevice>(nor: &mut Nor<S>, layout: &Layout, copy: u32, head: &mut 
         crc.update(bytes);
     });
     summed.is_ok() && crc.value() == head.crc()
+}
+
+/// Takes the channels out of the description: none is there. The image's own names none, but an
+/// earlier start may have left that of a configuration.
+fn forget_channels<B: Board>(board: &mut B) {
+    let end = (board.blob(BLOB_LENGTH_AT) as usize / 4).min(BOARD_ROM_SIZE / 4);
+    let (mut from, mut to) = (HEADER_LEN / 4, HEADER_LEN / 4);
+    let mut crc = Crc32::new();
+    while from < end {
+        // Kind, channel, bytes that follow.
+        let [kind, _, length, _] = board.blob(from).to_be_bytes();
+        let next = from + 1 + usize::from(length).div_ceil(4);
+        if next > end {
+            break;
+        }
+        while from < next {
+            if !CHANNEL_KINDS.contains(&kind) {
+                let word = board.blob(from);
+                board.describe(to, word);
+                crc.update(&word.to_be_bytes());
+                to += 1;
+            }
+            from += 1;
+        }
+    }
+    board.describe(BLOB_LENGTH_AT, 4 * to as u32);
+    board.describe(BLOB_CRC_AT, crc.value());
 }
 
 /// The numbers of the words of the outputs begin at 0, those of the inputs here.

@@ -542,6 +542,7 @@ proptest::proptest! {
     fn no_raw_operation_reaches_what_must_survive(
         asked in proptest::collection::vec((1u32..6, 0u32..1100, 0u32..0x1_0000, 0u32..600), 1..30),
         selected in 0u32..3,
+        newest in 0u32..4,
     ) {
         let mut chip = Chip::new(0x40_0000);
         image(&mut chip, Slot::A, 300, 1);
@@ -553,6 +554,11 @@ proptest::proptest! {
         if selected > 0 {
             run(&mut flash, &mut chip, Op::Select, selected, 0);
         }
+        let pins = [None, Some(0), Some(1)].get(newest as usize).copied();
+        if let Some(copy) = pins {
+            let verdict = Verdict::InForce;
+            flash.pins = Loaded { verdict, copy };
+        }
         let before = chip.cells.clone();
         for (op, block, offset, length) in asked {
             // A quarter of the addresses are not aligned.
@@ -561,7 +567,10 @@ proptest::proptest! {
             run(&mut flash, &mut chip, Op::from_code(op).unwrap(), address, length);
         }
         let layout = Layout::of(0x40_0000).unwrap();
-        let writable = |at: u32| layout.writable(Slot::from_code(selected), at, 1);
+        let free = |at, copy| pins.is_some_and(|newest| newest != Some(copy))
+            && layout.pins_copy(copy).contains(at, 1);
+        let writable = |at: u32| layout.writable(Slot::from_code(selected), at, 1)
+            || free(at, 0) || free(at, 1);
         let spoilt = (0..0x40_0000u32)
             .step_by(16)
             .find(|at| !writable(*at) && chip.cells[*at as usize..][..16] != before[*at as usize..][..16]);

@@ -3,9 +3,9 @@ use crate::fake::{ABI, ALICE, BOOT, CLOCK, Change, EIGHT, Notebook, Rig};
 use crate::machine::Machine;
 use crate::session::Peer;
 use proptest::prelude::*;
-use wire::board::{self, Kind};
+use wire::board;
 use wire::crc::crc32;
-use wire::describe::{CHANNELS_AT, OBSTACLE_PINS, OBSTACLES_AT, address};
+use wire::describe::{BLOB_WORDS_AT, CHANNELS_AT, OBSTACLE_PINS, OBSTACLES_AT, address};
 use wire::flash::{Op, PAGE, SECTOR};
 use wire::pins::{LEVELS_AT, LINES_MAX, MAGIC, OUTPUTS_AT, ROUTE_WORDS, VERSION};
 use wire::{MAX_WORDS, Refusal, State};
@@ -61,16 +61,44 @@ fn example() -> Head {
     head(&DRIVEN, &inputs)
 }
 
-/// Board information with this name.
-fn description(name: &[u8; 8]) -> Vec<u8> {
-    let body = [&[2, 0, 8, 0], &name[..]].concat();
-    let words = [board::MAGIC, board::VERSION, 28, crc32(&body)];
+/// Board information with these entries.
+fn description(entries: &[(u8, &[u8])]) -> Vec<u8> {
+    let mut body = Vec::new();
+    for (kind, value) in entries {
+        body.extend([*kind, 0, value.len() as u8, 0]);
+        body.extend(*value);
+        body.resize(body.len().next_multiple_of(4), 0);
+    }
+    let length = (HEADER_LEN + body.len()) as u32;
+    let words = [board::MAGIC, board::VERSION, length, crc32(&body)];
     [&words.map(u32::to_be_bytes).concat()[..], &body].concat()
+}
+
+/// That of the example, and what is left of it without channels.
+const ENTRIES: [(u8, &[u8]); 5] = [
+    (1, b"5a-75b"),
+    (LIST, b"sx step=j1:0\ny"),
+    (2, b"mill6"),
+    (3, b"z"),
+    (14, b"8.0"),
+];
+const FACTS: [(u8, &[u8]); 3] = [ENTRIES[0], ENTRIES[2], ENTRIES[4]];
+
+fn words(bytes: &[u8]) -> Vec<u32> {
+    let (words, _) = bytes.as_chunks();
+    words.iter().map(|word| u32::from_be_bytes(*word)).collect()
+}
+
+/// The description as clients read it.
+fn described(rig: &mut Rig) -> Vec<u32> {
+    let count = rig.read(address(BLOB_WORDS_AT)).unwrap();
+    let word = |n| rig.read(map::DESCRIBE_BLOB + 4 * n).unwrap();
+    (0..count).map(word).collect()
 }
 
 /// As it lies in flash.
 fn stored(head: &Head, generation: u32) -> Vec<u8> {
-    let description = description(b"as-mill6");
+    let description = description(&ENTRIES);
     let mut words = head.0;
     let bytes = 4 * HEAD_WORDS + description.len();
     words[..3].copy_from_slice(&[MAGIC, VERSION, bytes as u32]);
@@ -91,6 +119,7 @@ fn layout() -> Layout {
 fn board(copies: [Option<&[u8]>; 2]) -> Notebook {
     let mut board = Notebook::new();
     board.mux.ident = (u32::from(EIGHT.lines), PLATFORM);
+    board.described = words(&description(&[(1, b"5a-75b"), (14, b"8.0")]));
     for (copy, bytes) in (0..).zip(copies) {
         board
             .chip
@@ -101,7 +130,6 @@ fn board(copies: [Option<&[u8]>; 2]) -> Notebook {
 
 /// The board starts.
 fn started(mut board: Notebook) -> Rig {
-    board.described.clear();
     board.mux.log.clear();
     let ident = Ident {
         abi: ABI,
@@ -158,16 +186,7 @@ fn a_board_has_the_channels_the_description_and_the_pins_of_its_configuration() 
     assert_eq!(rig.read(address(CHANNELS_AT)), Ok(USED));
     assert_eq!(rig.read(address(CHANNELS_AT + 1)), Ok(56 | 56 << 8));
     assert_eq!(rig.read(address(OBSTACLES_AT)), Ok(0));
-    let words: Vec<u32> = (0..8)
-        .map(|n| rig.read(map::DESCRIBE_BLOB + 4 * n).unwrap())
-        .collect();
-    let bytes = words
-        .iter()
-        .flat_map(|word| word.to_be_bytes())
-        .collect::<Vec<_>>();
-    let blob = board::Blob::new_checked(&bytes).unwrap();
-    assert_eq!(blob.text(Kind::Configuration, 0), Some("as-mill6"));
-    assert_eq!(words[7], 0, "behind it");
+    assert_eq!(described(&mut rig), words(&description(&ENTRIES)));
     let third = map::CONFIG_STEPGEN + 2 * map::CONFIG_STRIDE;
     rig.acquire();
     assert_eq!(
@@ -213,12 +232,25 @@ fn without_a_configuration_a_board_drives_nothing_and_has_no_channels() {
     let mut rig = started(board([None, None]));
     assert_idle(&mut rig, Verdict::Missing);
     assert_eq!(loaded(&mut rig).1, None);
-    // What an earlier start left is overwritten.
+}
+
+#[test]
+fn what_an_earlier_start_wrote_is_overwritten_and_only_facts_of_the_card_stay() {
     let mut rig = started(board([Some(&stored(&example(), 1)), None]));
     assert_eq!(loaded(&mut rig), (Verdict::InForce, Some(0)));
     rig.board.chip.put(layout().pins_copy(0).start, &[0]);
     let mut rig = started(rig.board);
     assert_idle(&mut rig, Verdict::Missing);
+    assert_eq!(described(&mut rig), words(&description(&FACTS)));
+    let mut rig = started(rig.board);
+    assert_eq!(described(&mut rig), words(&description(&FACTS)), "again");
+    // One that is none: whatever it says of its lengths, nothing behind it is written.
+    for length in [0, 20, 0x1000, u32::MAX] {
+        rig.board.described = (0..1024).map(|n| 0x01ff_ff00 + n).collect();
+        rig.board.described[BLOB_LENGTH_AT] = length;
+        rig = started(rig.board);
+        assert_eq!(rig.board.described.len(), 1024);
+    }
 }
 
 #[test]
@@ -628,7 +660,8 @@ proptest! {
         if verdict != Verdict::InForce {
             assert_idle(&mut rig, verdict);
             prop_assert!(!usable(verdict));
-            prop_assert!(rig.board.described.is_empty());
+            let own = words(&description(&[(1, b"5a-75b"), (14, b"8.0")]));
+            prop_assert_eq!(described(&mut rig), own);
             return Ok(());
         }
         let [stepgens, _, pwms, _] = head.channels()[0].to_le_bytes();

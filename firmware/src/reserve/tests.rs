@@ -80,10 +80,24 @@ fn a_ping_comes_back_with_its_payload_and_right_sums() {
         let answer = answered(&echo_request(&payload)).expect("an answer");
         assert_eq!(answer[..14], [&THEIRS[..], &US.mac, &[8, 0]].concat());
         assert_eq!(answer[26..34], [192, 168, 2, 50, 192, 168, 2, 1]);
+        assert_eq!(answer[22..24], [64, 1], "a life of 64 hops, ICMP");
         assert_eq!((sum(&answer[14..34]), sum(&answer[34..])), (0xffff, 0xffff));
         assert_eq!(answer[34..36], [0, 0], "an echo reply");
         assert_eq!(answer[38..42], [0x12, 0x34, 0, 7], "the same number");
         assert_eq!(answer[42..], payload[..]);
+    }
+}
+
+#[test]
+fn a_ping_that_came_a_long_way_is_answered_with_a_long_life() {
+    for ttl in [0, 1, 63, 65, 255] {
+        let mut frame = echo_request(b"far");
+        frame[22] = ttl;
+        frame[24..26].fill(0);
+        let check = !sum(&frame[14..34]);
+        frame[24..26].copy_from_slice(&check.to_be_bytes());
+        let answer = answered(&frame).expect("an answer");
+        assert_eq!((answer[22], sum(&answer[14..34])), (64, 0xffff), "{ttl}");
     }
 }
 
