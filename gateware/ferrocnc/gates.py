@@ -361,7 +361,8 @@ class Gates:
     def verilog(self):
         """Writes the module `sim`."""
         widths = {name: f"[{width - 1}:0] " if width > 1 else "" for name, width in sim.PORTS}
-        outputs = {"gmii_tx_data", "gmii_tx_en", "step", "dir", "step_n", "dir_n", "pwm_out", "pwm_dir", "gpio_out", "led", "gate", "spi_cs_n", "spi_clk", "spi_mosi"}
+        outputs = {"gmii_tx_data", "gmii_tx_en", "step", "dir", "step_n", "dir_n", "pwm_out", "pwm_dir", "gpio_out", "led", "gate", "spi_cs_n", "spi_clk", "spi_mosi",
+                   "header_out", "header_drives"}
         ports = ",\n    ".join(f"{'output' if name in outputs else 'input'} wire {widths[name]}{name}" for name, _ in sim.PORTS)
         lines = ["// Written by gateware/ferrocnc/gates.py from a routed design; do not edit.", f"module sim (\n    {ports}\n);"]
         lines += [f"reg [31:0] rom[0:{rm.ROM[1] // 4 - 1}] /*verilator public_flat_rw*/;",
@@ -399,6 +400,7 @@ class Gates:
         yield f"assign spi_mosi = {self.pads['flash_mosi']};"
         yield f"assign spi_clk = {self.pads['spi_clk']};"
         yield "assign gate = 1'b0;  // no pad"
+        yield "assign {header_out, header_drives} = 128'b0;  // only an image has them"
 
 
 # Names of the driven pads, in the order of `sim.DRIVEN`: the first's number in `copper.sv`, and how

@@ -1,5 +1,5 @@
-"""The loader of board files: the reader's errors arrive with their own text, and an accepted board
-arrives complete."""
+"""The loader of board files and images: the reader's errors arrive with their own text, and an
+accepted board arrives complete."""
 
 import sys
 import tempfile
@@ -9,7 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "gateware"))
 
-from ferrocnc import board, regmap  # noqa: E402
+from ferrocnc import banks, board, multiplexer, regmap  # noqa: E402
 
 # The reader's own tests cover the errors (config/tests); this test checks that their text comes
 # through.
@@ -37,7 +37,39 @@ def refusal(text):
     return None
 
 
+def named(places):
+    """The numbers of those that have a name here."""
+    return {place: n for n, place in enumerate(places) if isinstance(place, str)}
+
+
+def image():
+    """An image has lines instead of channels with pins; its sources and inputs have the numbers of
+    `wire::pins`; the services reach neither its multiplexer nor its description."""
+    eight = board.read_image("5a-75b-8.0", "8/8/8")
+    assert eight.name == "5a-75b-8.0" and eight.channels == board.Channels(8, 8, 8, 56, 56) and eight.jobs == 3 and eight.sdram
+    assert eight.lines[0] == ("j1:0", "C4") and eight.lines[48] == ("j1:7", "N4") and (eight.key_ball, eight.key_active_low) == ("R7", True)
+    for platform, channels, wanted in (("5a-75e-7.1", "8/8/8", "104 lines"), ("5a-75b-8.0", "8/8", "8/8/8"), ("5a-75z", "8/8/8", "5a-75b-8.0")):
+        try:
+            board.read_image(platform, channels)
+            raise AssertionError(f"{platform} {channels}: not refused")
+        except board.BoardError as e:
+            assert wanted in str(e), e
+
+    few = board.Channels(6, 5, 3, 56, 56)
+    pads = banks.Pads(few)
+    carried = multiplexer.sources(few, pads, "enabled", "heartbeat")
+    assert (named(carried), len(carried)) == ({"enabled": 18, "heartbeat": 19}, 20)
+    listening = multiplexer.sinks(few, pads, "reset", "factory", ["e0", "e1", "e2", "e3"])
+    assert (named(listening), len(listening)) == ({"reset": 28, "factory": 29, "e0": 32, "e1": 33, "e2": 34, "e3": 35}, 36)
+
+    kept = [at for bank in (regmap.PINMUX_OUT, regmap.PINMUX_IN) for at in range(bank.base, bank.base + regmap.CSR_PAGE, 4)]
+    for place, room in banks.guard_places():
+        for at in (*kept, regmap.BOARD_ROM[0], sum(regmap.BOARD_ROM) - 4):
+            assert at // 4 & ~room != place, f"the services can write at {at:#x}"
+
+
 def main():
+    image()
     good = (ROOT / "boards" / "mill6.toml").read_text(encoding="utf-8")
     assert refusal(good) is None, refusal(good)
     for what, (old, new, wanted) in WRONG.items():
@@ -64,7 +96,7 @@ def main():
         words = board.blob_words(blob)
         assert words[0] == 0x4642_5244 and words[1] == 1 and words[2] == len(blob) <= regmap.BOARD_ROM[1]
         assert words[3] == zlib.crc32(blob[16:])
-    print(f"PASS board: {len(WRONG)} refusals come through; 2 boards read whole")
+    print(f"PASS board: {len(WRONG)} refusals come through; 2 boards and an image read whole")
 
 
 main()
