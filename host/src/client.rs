@@ -190,8 +190,9 @@ impl Identity {
         self.describe.features & describe::FEATURE_PINS != 0
     }
 
-    /// The numbers of the channels of a kind, in the board file's order. Where pins are configured,
-    /// an input or output has the number of its pin, and only those the description names are there.
+    /// The numbers of the channels of a kind, in the board file's order. Where pins are
+    /// configured, an input or output has the number of its pin, and only those that the
+    /// description names are there.
     pub fn numbers(&self, kind: Kind) -> Vec<u8> {
         let channels = self.describe.channels;
         let count = match kind {

@@ -12,7 +12,9 @@ use std::io::Write;
 use std::net::Ipv4Addr;
 use wire::board::{Blob, Kind};
 use wire::describe::Channels;
-use wire::describe::{FEATURE_JOBS, JobsState, OBSTACLE_ABI, OBSTACLE_FLASH, OBSTACLE_PINS};
+use wire::describe::{
+    Describe, FEATURE_JOBS, JobsState, OBSTACLE_ABI, OBSTACLE_FLASH, OBSTACLE_PINS,
+};
 use wire::map;
 use wire::pins::{Loaded, Verdict};
 use wire::refusal::COUNTERS_CALLS;
@@ -359,6 +361,25 @@ fn configured(pins: Loaded) -> String {
     }
 }
 
+/// The state, what stopped it, and why it would not arm.
+fn doing(describe: &Describe) -> String {
+    let state = &describe.state;
+    let mut doing = state.state.text().to_owned();
+    if state.reason != wire::FaultReason::None {
+        doing += &format!(", stopped by {}", state.reason);
+    }
+    if describe.obstacles & OBSTACLE_ABI != 0 {
+        doing += ", will not arm: ABI mismatch";
+    }
+    if describe.obstacles & OBSTACLE_FLASH != 0 {
+        doing += ", will not arm while its flash is written";
+    }
+    if describe.obstacles & OBSTACLE_PINS != 0 {
+        doing += ", will not arm: its board file is not one for it";
+    }
+    doing
+}
+
 fn to_text(description: &Description) -> String {
     use std::fmt::Write;
     let Description {
@@ -408,21 +429,7 @@ fn to_text(description: &Description) -> String {
         format!("{} MHz", f64::from(describe.clock_hz) / 1e6),
     );
     line("boot id", format!("{:#010x}", describe.boot_id));
-    let state = &describe.state;
-    let mut doing = state.state.text().to_owned();
-    if state.reason != wire::FaultReason::None {
-        doing += &format!(", stopped by {}", state.reason);
-    }
-    if describe.obstacles & OBSTACLE_ABI != 0 {
-        doing += ", will not arm: ABI mismatch";
-    }
-    if describe.obstacles & OBSTACLE_FLASH != 0 {
-        doing += ", will not arm while its flash is written";
-    }
-    if describe.obstacles & OBSTACLE_PINS != 0 {
-        doing += ", will not arm: its board file is not one for it";
-    }
-    line("state", doing);
+    line("state", doing(describe));
     if let Some(pins) = pins {
         line("pins", configured(*pins));
     }
