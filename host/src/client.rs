@@ -12,7 +12,7 @@ use std::net::{SocketAddr, SocketAddrV4, UdpSocket};
 use std::ops::RangeInclusive;
 use std::path::Path;
 use std::time::{Duration, Instant};
-use wire::board::{Blob, BlobError};
+use wire::board::{Blob, BlobError, Kind};
 use wire::describe::{self, Describe, DescribeError};
 use wire::map::{PwmType, StepType};
 use wire::{MAX_PAYLOAD, MAX_WORDS, Packet, Request, map};
@@ -152,7 +152,7 @@ impl Identity {
     pub fn pin(&self, class: u8, channel: usize, key: &str) -> Option<&str> {
         self.blob().entries().find_map(|entry| {
             let (first, text) = entry.value.split_first()?;
-            let this = entry.kind == wire::board::Kind::Pins
+            let this = entry.kind == Kind::Pins
                 && usize::from(entry.channel) == channel
                 && *first == class;
             let text = core::str::from_utf8(text).ok().filter(|_| this)?;
@@ -183,6 +183,51 @@ impl Identity {
             Some("pdm") => PwmType::Pdm,
             Some(_) | None => PwmType::Pwm,
         }
+    }
+
+    /// The functions of its pins are configured, not part of its image.
+    pub fn has_configured_pins(&self) -> bool {
+        self.describe.features & describe::FEATURE_PINS != 0
+    }
+
+    /// The numbers of the channels of a kind, in the board file's order. Where pins are
+    /// configured, an input or output has the number of its pin, and only those that the
+    /// description names are there.
+    pub fn numbers(&self, kind: Kind) -> Vec<u8> {
+        let channels = self.describe.channels;
+        let count = match kind {
+            Kind::Stepgen => channels.stepgens,
+            Kind::Encoder => channels.encoders,
+            Kind::Pwm => channels.pwms,
+            Kind::Input => channels.inputs,
+            Kind::Output => channels.outputs,
+            _ => 0,
+        };
+        let sparse = matches!(kind, Kind::Input | Kind::Output) && self.has_configured_pins();
+        if !sparse {
+            return (0..count).collect();
+        }
+        let mut numbers = Vec::new();
+        for entry in self.blob().entries().filter(|entry| entry.kind == kind) {
+            if entry.channel < count && !numbers.contains(&entry.channel) {
+                numbers.push(entry.channel);
+            }
+        }
+        numbers
+    }
+
+    /// The bit of an input in the status block's `estop`, if it is an e-stop input. Where pins are
+    /// configured, they are counted in the order of their numbers.
+    pub fn estop_bit(&self, input: u8) -> Option<u8> {
+        let stops = |n: u8| self.has_pin(b'i', n.into(), "estop");
+        if !stops(input) {
+            return None;
+        }
+        if !self.has_configured_pins() {
+            return Some(input);
+        }
+        let before = self.numbers(Kind::Input).into_iter();
+        Some(before.filter(|n| *n < input && stops(*n)).count() as u8)
     }
 
     /// The names.

@@ -463,9 +463,8 @@ impl Driver {
                 period,
             );
         }
-        for (n, input) in self.blocks.inputs.iter().enumerate() {
-            let estop = u64::from(status.estop) >> n & 1 != 0;
-            input.sampled(status.gpio_in >> n & 1 != 0, estop);
+        for input in &self.blocks.inputs {
+            input.sampled(status.gpio_in, status.estop);
         }
     }
 

@@ -225,7 +225,7 @@ pub fn export(
         glue: Glue::default(),
     };
     match scheme {
-        Scheme::Lcnc => lcnc::export(&mut names, driver)?,
+        Scheme::Lcnc => lcnc::export(&mut names, identity, driver)?,
         Scheme::LitexCnc(_) => litexcnc::export(&mut names, identity, driver, false)?,
         Scheme::LitexCncNamed(_) => litexcnc::export(&mut names, identity, driver, true)?,
     }

@@ -47,6 +47,8 @@ pub struct Labelled {
     pub name: String,
     /// The header pins it is on, as in `j1:0`.
     pub pins: String,
+    /// The bit of an input or output.
+    pub bit: u8,
 }
 
 /// A step generator with its motor.
@@ -426,8 +428,9 @@ impl Tryout {
     /// What the board is to do now.
     pub fn order(&self) -> Order {
         let armed = self.arming == Arming::Armed;
-        let on = self.on.map_or(0, |(output, _)| 1u64 << output);
-        let held = self.layout.drive_enable.map_or(0, |output| 1u64 << output);
+        let bit = |output: usize| 1u64 << self.layout.outputs[output].bit;
+        let on = self.on.map_or(0, |(output, _)| bit(output));
+        let held = self.layout.drive_enable.map_or(0, bit);
         let heard = matches!(self.arming, Arming::Asked { heard: 1.. });
         let at = |motor: usize| self.status.as_ref().map(|it| it.stepgen[motor].0);
         let motion = self.jog.as_ref().and_then(|jog| {

@@ -17,33 +17,46 @@ use wire::units::Clocks;
 /// One input.
 #[derive(Debug)]
 pub struct Input {
+    number: u8,
     value: Out<bool>,
     inverse: Out<bool>,
-    estop: Option<Out<bool>>,
+    /// Its bit among the latches, and the pin.
+    estop: Option<(u8, Out<bool>)>,
     debounce: Checked<u32>,
 }
 
 impl Input {
-    /// Exports the pins.
-    pub fn export(hal: &mut Exporter<'_>, is_estop: bool) -> Result<Self, ExportError> {
+    /// Exports the pins of the input with this number. `estop` is its bit among the latches if it
+    /// is an e-stop input.
+    pub fn export(
+        hal: &mut Exporter<'_>,
+        number: u8,
+        estop: Option<u8>,
+    ) -> Result<Self, ExportError> {
         Ok(Input {
+            number,
             value: hal.output("in")?,
             inverse: hal.output("in-not")?,
-            estop: if is_estop {
-                Some(hal.output("estop")?)
-            } else {
-                None
+            estop: match estop {
+                Some(bit) => Some((bit, hal.output("estop")?)),
+                None => None,
             },
             debounce: hal.setting("debounce-ns", 0, Rule::Any)?,
         })
     }
 
-    /// Takes the level, and whether it has tripped as an e-stop.
-    pub fn sampled(&self, level: bool, tripped: bool) {
+    /// Its number: its bit among the levels.
+    pub fn number(&self) -> usize {
+        self.number.into()
+    }
+
+    /// Takes the levels of all inputs, and which have tripped as an e-stop.
+    pub fn sampled(&self, levels: u64, tripped: u32) {
+        let level = levels >> self.number & 1 != 0;
         self.value.set(level);
         self.inverse.set(!level);
-        if let Some(estop) = &self.estop {
-            estop.set(tripped);
+        if let Some((bit, estop)) = &self.estop {
+            estop.set(u64::from(tripped) >> bit & 1 != 0);
         }
     }
 
@@ -59,19 +72,32 @@ impl Input {
 /// One output.
 #[derive(Debug)]
 pub struct Output {
+    number: u8,
     value: In<bool>,
     invert: Param<bool>,
     safe: bool,
 }
 
 impl Output {
-    /// Exports the pins. `safe` and `invert` are what the board file says of it.
-    pub fn export(hal: &mut Exporter<'_>, safe: bool, invert: bool) -> Result<Self, ExportError> {
+    /// Exports the pins of the output with this number. `safe` and `invert` are what the board file
+    /// says of it.
+    pub fn export(
+        hal: &mut Exporter<'_>,
+        number: u8,
+        safe: bool,
+        invert: bool,
+    ) -> Result<Self, ExportError> {
         Ok(Output {
+            number,
             value: hal.input("out")?,
             invert: hal.param("invert", invert)?,
             safe,
         })
+    }
+
+    /// A level at its bit.
+    pub fn at(&self, level: bool) -> u64 {
+        u64::from(level) << self.number
     }
 
     /// The level wanted.
@@ -102,7 +128,7 @@ mod tests {
         for (safe, invert) in [(false, false), (false, true), (true, false), (true, true)] {
             let name = format!("o{}{}", u8::from(safe), u8::from(invert));
             let mut exporter = Exporter::new(&mut hal, name.as_str());
-            let output = Output::export(&mut exporter, safe, invert).unwrap();
+            let output = Output::export(&mut exporter, 0, safe, invert).unwrap();
             for told in [invert, !invert] {
                 hal.set(&format!("{name}.invert"), told);
                 // What gpio.sv does with the two registers.
@@ -114,7 +140,7 @@ mod tests {
     #[test]
     fn a_debounce_is_never_shorter_than_asked_and_never_beyond_its_register() {
         let mut hal = FakeHal::new();
-        let input = Input::export(&mut Exporter::new(&mut hal, "i"), false).unwrap();
+        let input = Input::export(&mut Exporter::new(&mut hal, "i"), 0, None).unwrap();
         // One look every 533 ns at 60 MHz.
         for (nanos, looks) in [(0u32, 0), (1, 1), (533, 1), (534, 2), (1_000_000, 1875)] {
             hal.set("i.debounce-ns", nanos);
@@ -127,10 +153,12 @@ mod tests {
     #[test]
     fn only_an_estop_input_has_an_estop_pin() {
         let mut hal = FakeHal::new();
-        let input = Input::export(&mut Exporter::new(&mut hal, "e"), true).unwrap();
-        input.sampled(false, true);
+        let input = Input::export(&mut Exporter::new(&mut hal, "e"), 50, Some(1)).unwrap();
+        input.sampled(!(1 << 50), 1 << 1);
         assert!(hal.get::<bool>("e.estop") && !hal.get::<bool>("e.in"));
-        let _ = Input::export(&mut Exporter::new(&mut hal, "i"), false).unwrap();
+        input.sampled(1 << 50, !(1 << 1));
+        assert!(!hal.get::<bool>("e.estop") && hal.get::<bool>("e.in"));
+        let _ = Input::export(&mut Exporter::new(&mut hal, "i"), 50, None).unwrap();
         assert!(!hal.list().any(|(name, _, _)| name == "i.estop"));
     }
 }

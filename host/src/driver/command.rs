@@ -105,8 +105,10 @@ impl Driver {
                 wanted.probe |= PROBE_INVERT;
             }
         }
-        for (looks, input) in wanted.debounce.iter_mut().zip(&self.blocks.inputs) {
-            *looks = input.debounce(clock_hz);
+        for input in &self.blocks.inputs {
+            if let Some(looks) = wanted.debounce.get_mut(input.number()) {
+                *looks = input.debounce(clock_hz);
+            }
         }
         for (words, encoder) in wanted.encoder.iter_mut().zip(&self.blocks.encoders) {
             *words = encoder.configure(clock_hz);
@@ -114,9 +116,9 @@ impl Driver {
         for (word, pwm) in wanted.pwm_mode.iter_mut().zip(&mut self.blocks.pwms) {
             *word = pwm.configure();
         }
-        for (n, output) in self.blocks.outputs.iter().enumerate() {
-            wanted.gpio_safe |= u64::from(output.safe()) << n;
-            wanted.gpio_invert |= u64::from(output.inverted()) << n;
+        for output in &self.blocks.outputs {
+            wanted.gpio_safe |= output.at(output.safe());
+            wanted.gpio_invert |= output.at(output.inverted());
         }
         wanted
     }
@@ -231,8 +233,8 @@ impl Driver {
             let has = arrived.map_or(u32::MAX, |periods| periods.0[n]);
             *word = pwm.command(has, period.clock_hz);
         }
-        for (n, output) in self.blocks.outputs.iter().enumerate() {
-            command.gpio_out |= u64::from(output.command()) << n;
+        for output in &self.blocks.outputs {
+            command.gpio_out |= output.at(output.command());
         }
         command
     }

@@ -125,12 +125,12 @@ impl Blocks {
         identity: &Identity,
     ) -> Result<Self, ExportError> {
         let describe = &identity.describe;
-        let channels = describe.channels;
         let blob = identity.blob();
-        let names = |kind, class: &str, longest: &str, count: u8| {
+        let names = |kind, class: &str, longest: &str| {
             let room =
                 wire::board::HAL_NAME_MAX - format!("ferrocnc.{index}.{class}..{longest}").len();
-            channel_names((0..count).map(|n| blob.text(kind, n)), room)
+            let numbers = identity.numbers(kind).into_iter();
+            channel_names(numbers.map(|n| (n, blob.text(kind, n))), room)
         };
         let packets = Packets::export(hal)?;
         let watchdog = Watchdog::export(hal)?;
@@ -142,42 +142,37 @@ impl Blocks {
         let stepgens = each(
             hal,
             "stepgen",
-            names(
-                Kind::Stepgen,
-                "stepgen",
-                "position-scale",
-                channels.stepgens,
-            ),
-            |hal, n| Stepgen::export(hal, identity.step_type(n)),
+            names(Kind::Stepgen, "stepgen", "position-scale"),
+            |hal, n| Stepgen::export(hal, identity.step_type(n.into())),
         )?;
         let encoders = each(
             hal,
             "encoder",
-            names(Kind::Encoder, "encoder", "velocity-rpm", channels.encoders),
+            names(Kind::Encoder, "encoder", "velocity-rpm"),
             |hal, _| Encoder::export(hal),
         )?;
         let pwms = each(
             hal,
             "pwm",
-            names(Kind::Pwm, "pwm", "invert-output", channels.pwms),
+            names(Kind::Pwm, "pwm", "invert-output"),
             |hal, n| {
-                let has_direction = identity.has_pin(b'p', n, "dir");
-                Pwm::export(hal, has_direction, identity.pwm_type(n))
+                let has_direction = identity.has_pin(b'p', n.into(), "dir");
+                Pwm::export(hal, has_direction, identity.pwm_type(n.into()))
             },
         )?;
         let inputs = each(
             hal,
             "gpio",
-            names(Kind::Input, "gpio", "in-not", channels.inputs),
-            |hal, n| gpio::Input::export(hal, identity.has_pin(b'i', n, "estop")),
+            names(Kind::Input, "gpio", "in-not"),
+            |hal, n| gpio::Input::export(hal, n, identity.estop_bit(n)),
         )?;
         let outputs = each(
             hal,
             "gpio",
-            names(Kind::Output, "gpio", "invert", channels.outputs),
+            names(Kind::Output, "gpio", "invert"),
             |hal, n| {
-                let said = |key, word| identity.pin(b'o', n, key) == Some(word);
-                gpio::Output::export(hal, said("safe", "high"), said("invert", "true"))
+                let said = |key, word| identity.pin(b'o', n.into(), key) == Some(word);
+                gpio::Output::export(hal, n, said("safe", "high"), said("invert", "true"))
             },
         )?;
         Ok(Blocks {
@@ -200,19 +195,22 @@ impl Blocks {
 fn each<T>(
     hal: &mut Exporter<'_>,
     class: &str,
-    names: Vec<String>,
-    mut export: impl FnMut(&mut Exporter<'_>, usize) -> Result<T, ExportError>,
+    names: Vec<(u8, String)>,
+    mut export: impl FnMut(&mut Exporter<'_>, u8) -> Result<T, ExportError>,
 ) -> Result<Vec<T>, ExportError> {
-    let each = names.iter().enumerate();
-    each.map(|(n, name)| export(&mut hal.channel(class, name, n), n))
+    let each = names.iter();
+    each.map(|(n, name)| export(&mut hal.channel(class, name, (*n).into()), *n))
         .collect()
 }
 
 /// What channels are called: the board's names where they make good HAL names of at most `room`
-/// characters, two digits otherwise.
-fn channel_names<'n>(names: impl Iterator<Item = Option<&'n str>>, room: usize) -> Vec<String> {
-    let mut result: Vec<String> = Vec::with_capacity(MAX_CHANNELS);
-    for (n, name) in names.enumerate() {
+/// characters, their number in two digits otherwise.
+fn channel_names<'n>(
+    names: impl Iterator<Item = (u8, Option<&'n str>)>,
+    room: usize,
+) -> Vec<(u8, String)> {
+    let mut result: Vec<(u8, String)> = Vec::with_capacity(MAX_CHANNELS);
+    for (n, name) in names {
         let good = name.filter(|name| {
             !name.is_empty()
                 && name.len() <= room
@@ -221,9 +219,9 @@ fn channel_names<'n>(names: impl Iterator<Item = Option<&'n str>>, room: usize) 
                     .all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-')
                 // Digits alone could be taken for another channel's number.
                 && !name.bytes().all(|b| b.is_ascii_digit())
-                && !result.iter().any(|known| known == name)
+                && !result.iter().any(|(_, known)| known == name)
         });
-        result.push(good.map_or_else(|| format!("{n:02}"), str::to_owned));
+        result.push((n, good.map_or_else(|| format!("{n:02}"), str::to_owned)));
     }
     result
 }
@@ -242,13 +240,20 @@ mod tests {
             Some("x"),
             Some("3"),
         ];
-        assert_eq!(
-            channel_names(names.into_iter(), 9),
-            ["x", "01", "02", "03", "04", "05"]
-        );
-        assert_eq!(
-            channel_names([Some("spindle-on")].into_iter(), 10),
-            ["spindle-on"]
-        );
+        let called = |names: &[Option<&str>], room| -> Vec<String> {
+            let names = (0..).zip(names.iter().copied());
+            let called = channel_names(names, room).into_iter();
+            called.map(|(_, name)| name).collect()
+        };
+        assert_eq!(called(&names, 9), ["x", "01", "02", "03", "04", "05"]);
+        assert_eq!(called(&[Some("spindle-on")], 10), ["spindle-on"]);
+    }
+
+    #[test]
+    fn a_channel_without_a_good_name_is_called_by_its_own_number() {
+        let names = [(50, Some("probe")), (7, None), (12, Some("Door"))];
+        let called = [(50, "probe"), (7, "07"), (12, "12")];
+        let called = called.map(|(n, name)| (n, name.to_owned()));
+        assert_eq!(channel_names(names.into_iter(), 9), called);
     }
 }

@@ -1,18 +1,24 @@
 //! `Lcnc.NN.*` as `driver/Lcnc.c` exports it.
 
 use super::Names;
+use crate::client::Identity;
 use crate::driver::Driver;
 use crate::hal::Direction::{In, Out, ReadWrite};
 use crate::hal::ExportError;
 use crate::hal::Type::{Bit, Float, U32};
 use crate::hal::checked::Rule;
+use wire::board::Kind;
 use wire::describe::Channels;
 
 /// Exports all of them.
-pub(super) fn export(names: &mut Names<'_>, driver: &Driver) -> Result<(), ExportError> {
+pub(super) fn export(
+    names: &mut Names<'_>,
+    identity: &Identity,
+    driver: &Driver,
+) -> Result<(), ExportError> {
     let channels = driver.channels();
     board(names)?;
-    gpio(names, channels)?;
+    gpio(names, identity)?;
     for n in 0..channels.encoders {
         encoder(names, n)?;
     }
@@ -51,14 +57,21 @@ fn board(names: &mut Names<'_>) -> Result<(), ExportError> {
     Ok(())
 }
 
-fn gpio(names: &mut Names<'_>, channels: Channels) -> Result<(), ExportError> {
-    for n in 0..channels.inputs {
-        names.alias(&format!("input.{n:02}.in"), &format!("gpio.{n}.in"))?;
-        names.alias(&format!("input.{n:02}.in-n"), &format!("gpio.{n}.in-not"))?;
+/// Theirs are numbered in the order of the board file, whatever pins they are on.
+fn gpio(names: &mut Names<'_>, identity: &Identity) -> Result<(), ExportError> {
+    for (theirs, n) in identity.numbers(Kind::Input).into_iter().enumerate() {
+        names.alias(&format!("input.{theirs:02}.in"), &format!("gpio.{n}.in"))?;
+        names.alias(
+            &format!("input.{theirs:02}.in-n"),
+            &format!("gpio.{n}.in-not"),
+        )?;
     }
-    for n in 0..channels.outputs {
-        names.alias(&format!("output.{n:02}.out"), &format!("gpio.{n}.out"))?;
-        names.alias(&format!("output.{n:02}.inv"), &format!("gpio.{n}.invert"))?;
+    for (theirs, n) in identity.numbers(Kind::Output).into_iter().enumerate() {
+        names.alias(&format!("output.{theirs:02}.out"), &format!("gpio.{n}.out"))?;
+        names.alias(
+            &format!("output.{theirs:02}.inv"),
+            &format!("gpio.{n}.invert"),
+        )?;
     }
     Ok(())
 }

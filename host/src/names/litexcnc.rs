@@ -76,7 +76,8 @@ pub(super) fn export(
     names.publish(("watchdog.timeout-cycles", U32, ReadOnly), move || {
         nanos.get() * clock / 1e9
     })?;
-    let estops = (0..usize::from(channels.inputs)).filter(|n| identity.has_pin(b'i', *n, "estop"));
+    let inputs = identity.numbers(Kind::Input).into_iter();
+    let estops = inputs.filter(|n| identity.estop_bit(*n).is_some());
     for (estop, input) in estops.enumerate() {
         let ours = format!("gpio.{input}.estop");
         names.alias(&format!("watchdog.estop.{estop:02}.fault-out"), &ours)?;
@@ -311,16 +312,10 @@ fn name<'i>(identity: &'i Identity, class: &Class, n: u8) -> Option<&'i str> {
 
 /// Refuses names of channels that HAL cannot have behind this prefix.
 pub(super) fn judge_names(identity: &Identity, prefix: &str) -> Result<(), NameError> {
-    let channels = identity.describe.channels;
-    for (class, count) in [
-        (&STEPGEN, channels.stepgens),
-        (&ENCODER, channels.encoders),
-        (&PWM, channels.pwms),
-        (&INPUT, channels.inputs),
-        (&OUTPUT, channels.outputs),
-    ] {
+    for class in [&STEPGEN, &ENCODER, &PWM, &INPUT, &OUTPUT] {
         let mut known = Vec::new();
-        for name in (0..count).filter_map(|n| name(identity, class, n)) {
+        let numbers = identity.numbers(class.kind).into_iter();
+        for name in numbers.filter_map(|n| name(identity, class, n)) {
             if !is_foreign_name(name) {
                 return Err(NameError::NoWord(name.to_owned()));
             }
@@ -354,10 +349,13 @@ struct Place {
 /// cannot differ: with inputs or outputs alone, and without what an import puts in front of them,
 /// e-stops and the watchdog's pins.
 fn row(identity: &Identity) -> Result<Vec<Place>, RowError> {
-    let channels = identity.describe.channels;
+    let (inputs, outputs) = (
+        identity.numbers(Kind::Input),
+        identity.numbers(Kind::Output),
+    );
     let all = || {
-        let inputs = (0..channels.inputs).map(|n| (true, n));
-        inputs.chain((0..channels.outputs).map(|n| (false, n)))
+        let inputs = inputs.iter().map(|n| (true, *n));
+        inputs.chain(outputs.iter().map(|n| (false, *n)))
     };
     let letter = |input: bool| if input { b'i' } else { b'o' };
     let mut row: Vec<Place> = Vec::new();
@@ -381,17 +379,17 @@ fn row(identity: &Identity) -> Result<Vec<Place>, RowError> {
     }
     let blob = identity.blob();
     let moved = all().any(|(input, n)| {
-        let name = || blob.text(wire::board::Kind::Output, n);
+        let name = || blob.text(Kind::Output, n);
         match input {
             true => identity.has_pin(b'i', usize::from(n), "estop"),
             false => matches!(name(), Some("watchdog" | "heartbeat")),
         }
     });
-    if moved || (channels.inputs > 0 && channels.outputs > 0) {
+    if moved || !(inputs.is_empty() || outputs.is_empty()) {
         return Err(RowError::Unsaid);
     }
-    let own = all().map(|(input, ours)| Place {
-        number: ours,
+    let own = (0..).zip(all()).map(|(number, (input, ours))| Place {
+        number,
         input,
         ours,
     });

@@ -9,7 +9,8 @@ use super::gather;
 use super::loops::{Counts, Levels, Loop, Output, Sink, Source};
 use crate::client::{Client, ClientError, Identity, Session};
 use std::time::Duration;
-use wire::describe::{Channels, FEATURE_READBACK};
+use wire::board::Kind;
+use wire::describe::Channels;
 use wire::exchange::{Command, PWM_DIRECTION, PWM_ENABLE, PWM_FRACTION, Status, status_words};
 use wire::map::{self, BoardConfig, CountMode, StepType, StepgenConfig};
 use wire::regmap::pads::{OUTPUTS, PWM, STEP, STEP_N};
@@ -250,7 +251,9 @@ pub struct Driven<'t> {
     client: Client,
     session: Session,
     channels: Channels,
-    /// The gateware reads the pads.
+    /// The numbers of the inputs.
+    inputs: Vec<usize>,
+    /// The gateware reads the pads, each as that of a channel.
     readback: bool,
     hz: f64,
     command: Command,
@@ -285,7 +288,8 @@ impl<'t> Driven<'t> {
             client,
             session,
             channels: identity.describe.channels,
-            readback: identity.describe.features & FEATURE_READBACK != 0,
+            inputs: gather::numbers(identity, Kind::Input),
+            readback: gather::reads_pads(identity),
             hz,
             command: Command {
                 token: session.token,
@@ -405,15 +409,19 @@ impl<'t> Driven<'t> {
     }
 
     /// Each general output high and low, one after the other: what its register says and its pad,
-    /// and which inputs and which other pads follow.
-    pub fn outputs(&mut self, names: &[String]) -> Result<Vec<Output>, DriveError> {
+    /// and which inputs and which other pads follow. `numbers` are those of the outputs there are.
+    pub fn outputs(
+        &mut self,
+        names: &[String],
+        numbers: &[usize],
+    ) -> Result<Vec<Output>, DriveError> {
         let invert = self.per_output(INVERT)?;
         self.arm()?;
         let rest = self.command.gpio_out;
         let mut found = Vec::new();
-        for (n, name) in names.iter().enumerate() {
+        for n in numbers.iter().copied() {
             let mut output = Output {
-                name: name.clone(),
+                name: names[n].clone(),
                 ..Output::default()
             };
             let own = [output_pad(n)];
@@ -441,8 +449,7 @@ impl<'t> Driven<'t> {
                 let partners = self.partners(n, *level, invert, names)?;
                 output.joined.extend(partners);
             }
-            let count = usize::from(self.channels.inputs);
-            output.inputs = (0..count)
+            output.inputs = { self.inputs.iter().copied() }
                 .filter(|input| follows >> input & 1 != 0)
                 .collect();
             found.push(output);
@@ -596,7 +603,7 @@ impl<'t> Driven<'t> {
             driven: Vec::new(),
             inputs: Vec::new(),
             wanted: input,
-            count: self.channels.inputs.into(),
+            there: self.inputs.clone(),
         };
         match jumper.source {
             Source::Output(n) => self.output_levels(n, &mut levels)?,

@@ -6,7 +6,8 @@ use crate::client::{Client, ClientError, Identity};
 use crate::flash::{FlashError, Flasher, Overview, PATIENCE};
 use std::collections::HashMap;
 use std::time::Duration;
-use wire::describe::{Channels, Describe};
+use wire::board::Kind;
+use wire::describe::{Channels, Describe, FEATURE_READBACK};
 use wire::flash::{Area, LinkWord};
 use wire::images::{META_BYTES, Meta, idcode_of};
 use wire::regmap::{self, gpio, gpio_high, pads, timebase};
@@ -218,6 +219,18 @@ pub fn link(
 pub fn ways(client: &mut Client) -> Result<ways::Facts, ClientError> {
     let words = client.read(&crate::blocks::ways::WORDS)?;
     Ok(ways::Facts::from_words([words[0], words[1], words[2]]))
+}
+
+/// The gateware reads the pads that it drives, each as that of a channel. Where pins are configured
+/// a pad is a line's, and no channel has one of its own.
+pub fn reads_pads(identity: &Identity) -> bool {
+    identity.describe.features & FEATURE_READBACK != 0 && !identity.has_configured_pins()
+}
+
+/// The numbers of the channels of a kind, as places.
+pub(super) fn numbers(identity: &Identity, kind: Kind) -> Vec<usize> {
+    let numbers = identity.numbers(kind).into_iter();
+    numbers.map(usize::from).collect()
 }
 
 /// The general outputs with the gate closed: what drives them, and their pads.

@@ -49,7 +49,6 @@ fn channel(
     text: &str,
     kinds: &[(&str, Kind)],
 ) -> Result<(usize, usize), String> {
-    let counts = identity.describe.channels;
     let blob = identity.blob();
     let mut found = Vec::new();
     for (which, (prefix, kind)) in kinds.iter().enumerate() {
@@ -57,18 +56,12 @@ fn channel(
             .strip_prefix(prefix)
             .and_then(|rest| rest.strip_prefix('.'));
         let wanted = own.unwrap_or(text);
-        let count = match kind {
-            Kind::Stepgen => counts.stepgens,
-            Kind::Encoder => counts.encoders,
-            Kind::Pwm => counts.pwms,
-            Kind::Input => counts.inputs,
-            _ => counts.outputs,
-        };
-        let named = (0..count).find(|n| blob.text(*kind, *n) == Some(wanted));
+        let numbers = identity.numbers(*kind);
+        let named = { numbers.iter().copied() }.find(|n| blob.text(*kind, *n) == Some(wanted));
         let numbered = wanted
             .parse()
             .ok()
-            .filter(|n: &u8| own.is_some() && *n < count);
+            .filter(|n: &u8| own.is_some() && numbers.contains(n));
         if let Some(n) = named.or(numbered) {
             found.push((which, usize::from(n), own.is_some()));
         }
@@ -261,8 +254,8 @@ pub struct Levels {
     pub inputs: Vec<u64>,
     /// The one it should come out at.
     pub wanted: usize,
-    /// How many inputs there are.
-    pub count: usize,
+    /// The inputs there are.
+    pub there: Vec<usize>,
 }
 
 impl Levels {
@@ -304,7 +297,7 @@ pub fn judge_levels(facts: &Levels) -> Finding {
             "this is right if it is intended",
         );
     }
-    let elsewhere: Vec<usize> = (0..facts.count)
+    let elsewhere: Vec<usize> = { facts.there.iter().copied() }
         .filter(|n| *n != facts.wanted && facts.follows(*n))
         .collect();
     if let [other, ..] = elsewhere[..] {
@@ -528,7 +521,7 @@ mod tests {
             inputs: driven.iter().map(|level| input(*level)).collect(),
             driven: vec![driven],
             wanted: 2,
-            count: 8,
+            there: (0..8).collect(),
         })
     }
 

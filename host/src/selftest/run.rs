@@ -169,12 +169,18 @@ fn look(
     let samples = gather::clock(&mut client, readback, plan.look, bench.time)?;
     let hz = identity.describe.clock_hz;
     findings.extend(clock::judge(&samples, hz, speed, readback));
-    findings.push(match readback {
-        true => {
+    findings.push(match (gather::reads_pads(identity), readback) {
+        (true, _) => {
             let [driven, seen] = gather::rest(&mut client, identity.describe.channels)?;
             judge_rest(driven, seen, &output_names(identity))
         }
-        false => Finding::skipped(
+        (false, true) => Finding::skipped(
+            "output pads",
+            "not judged",
+            "the pins of this board are configured, and its read-back does not know which channel is on which pin",
+            "a jumper from the pin to an input: --loop",
+        ),
+        (false, false) => Finding::skipped(
             "output pads",
             "not read",
             "this board's gateware has no read-back",
@@ -208,9 +214,12 @@ fn name(identity: &Identity, kind: Kind, n: usize) -> String {
 fn outputs(identity: &Identity, plan: &Plan, bench: &mut Bench<'_>, findings: &mut Vec<Finding>) {
     (bench.tell)("outputs");
     let names = output_names(identity);
-    match driven(identity, plan, bench, |driven| driven.outputs(&names)) {
+    let numbers = gather::numbers(identity, Kind::Output);
+    match driven(identity, plan, bench, |driven| {
+        driven.outputs(&names, &numbers)
+    }) {
         Ok(mut found) => {
-            for (n, output) in found.iter_mut().enumerate() {
+            for (n, output) in numbers.iter().copied().zip(&mut found) {
                 // What a jumper joins is no news.
                 output.inputs.retain(|input| {
                     let joins = |jumper: &Loop| {

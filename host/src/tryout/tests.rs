@@ -30,16 +30,17 @@ struct Rig {
     answers: bool,
 }
 
-fn line(name: &str) -> Labelled {
+fn line(bit: u8, name: &str) -> Labelled {
     Labelled {
         name: name.to_owned(),
         pins: String::new(),
+        bit,
     }
 }
 
 fn motor(name: &str, scale: Option<f64>) -> Motor {
     Motor {
-        line: line(name),
+        line: line(0, name),
         scale,
         most: 1_600.0,
         accel: 8_000.0,
@@ -49,10 +50,10 @@ fn motor(name: &str, scale: Option<f64>) -> Motor {
 
 fn layout() -> Layout {
     Layout {
-        inputs: vec![line("probe")],
-        outputs: vec![line("enable"), line("flood")],
+        inputs: vec![line(0, "probe")],
+        outputs: vec![line(0, "enable"), line(1, "flood")],
         motors: vec![motor("x", Some(320.0)), motor("y", Some(-320.0))],
-        encoders: vec![line("spindle")],
+        encoders: vec![line(0, "spindle")],
         drive_enable: Some(0),
         unit: "mm".to_owned(),
     }

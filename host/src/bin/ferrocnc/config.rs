@@ -1,5 +1,6 @@
-//! `ferrocnc config`: writes, checks, shows and draws board files, imports those of other projects,
-//! and gives them to boards whose pins are configured. Only `diff`, `apply` and `read` need a board.
+//! `ferrocnc config`: writes, checks, shows and draws board files, imports those of other
+//! projects, and gives them to boards whose pins are configured. Only `diff`, `apply` and `read`
+//! need a board.
 
 mod check;
 mod diff;

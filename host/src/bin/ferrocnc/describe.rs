@@ -4,6 +4,7 @@ use crate::text::version;
 use anyhow::{Result, bail};
 use ferrocnc::client::{Client, Identity};
 use ferrocnc::flash::Overview;
+use ferrocnc::pins::remedy;
 use ferrocnc::selftest::{gather, ways};
 use ferrocnc::uid::{mac_text, uid_text};
 use serde_json::{Value, json};
@@ -11,7 +12,11 @@ use std::io::Write;
 use std::net::Ipv4Addr;
 use wire::board::{Blob, Kind};
 use wire::describe::Channels;
-use wire::describe::{FEATURE_JOBS, JobsState, OBSTACLE_ABI, OBSTACLE_FLASH};
+use wire::describe::{
+    Describe, FEATURE_JOBS, JobsState, OBSTACLE_ABI, OBSTACLE_FLASH, OBSTACLE_PINS,
+};
+use wire::map;
+use wire::pins::{Loaded, Verdict};
 use wire::refusal::COUNTERS_CALLS;
 use wire::settings::mac_of_uid;
 
@@ -21,13 +26,7 @@ pub(crate) fn run(client: &mut Client, as_json: bool) -> Result<()> {
     if as_json {
         writeln!(out, "{:#}", description.to_json())?;
     } else {
-        let Description {
-            identity,
-            overview,
-            calls,
-            ways,
-        } = &description;
-        write!(out, "{}", to_text(identity, overview, *calls, ways))?;
+        write!(out, "{}", to_text(&description))?;
     }
     Ok(())
 }
@@ -38,12 +37,20 @@ pub(crate) struct Description {
     overview: Overview,
     calls: Calls,
     ways: ways::Facts,
+    /// What became of the configuration of the pins, where they are configured.
+    pins: Option<Loaded>,
 }
 
 impl Description {
     pub(crate) fn read(client: &mut Client) -> Result<Self> {
+        let identity = client.identify()?;
+        let pins = match identity.has_configured_pins() {
+            true => Loaded::from_word(client.read(&[map::FLASH_PINS])?[0]),
+            false => None,
+        };
         Ok(Description {
-            identity: client.identify()?,
+            identity,
+            pins,
             overview: Overview::read(client)?,
             calls: Calls::read(client)?,
             ways: gather::ways(client)?,
@@ -54,6 +61,7 @@ impl Description {
         let mut value = to_json(&self.identity, &self.overview);
         value["services_longest_call"] = self.calls.to_json();
         value["exchanges"] = ways_to_json(&self.ways);
+        value["pins"] = json!(self.pins.map(|pins| pins.verdict.text()));
         value
     }
 }
@@ -87,7 +95,7 @@ pub(crate) fn ways_to_json(ways: &ways::Facts) -> Value {
 }
 
 /// Names of one kind's channels, with their header pins.
-fn channels(blob: &Blob<'_>, kind: Kind, class: char, count: u8) -> Vec<(String, String)> {
+fn channels(blob: &Blob<'_>, kind: Kind, class: char, numbers: &[u8]) -> Vec<(String, String)> {
     let pins = |n: u8| {
         let mut of_class = blob.entries().filter(|entry| {
             entry.kind == Kind::Pins
@@ -99,32 +107,48 @@ fn channels(blob: &Blob<'_>, kind: Kind, class: char, count: u8) -> Vec<(String,
             .and_then(|entry| std::str::from_utf8(&entry.value[1..]).ok());
         text.unwrap_or("").to_owned()
     };
-    (0..count)
+    { numbers.iter() }
         .map(|n| {
-            let name = blob.text(kind, n).unwrap_or("");
-            (name.to_owned(), pins(n))
+            let name = blob.text(kind, *n).unwrap_or("");
+            (name.to_owned(), pins(*n))
         })
         .collect()
 }
 
-/// Names and pins of the channels of a board's image.
+/// The kinds of channels, and the letters of their pins.
+const CLASSES: [(&str, Kind, char); 5] = [
+    ("stepgen", Kind::Stepgen, 's'),
+    ("encoder", Kind::Encoder, 'e'),
+    ("pwm", Kind::Pwm, 'p'),
+    ("input", Kind::Input, 'i'),
+    ("output", Kind::Output, 'o'),
+];
+
+/// Names and pins of the channels of a board, in its board file's order.
 pub(crate) fn classes(identity: &Identity) -> [(&'static str, Vec<(String, String)>); 5] {
-    classes_of(&identity.blob(), identity.describe.channels)
+    CLASSES.map(|(class, kind, letter)| {
+        let numbers = identity.numbers(kind);
+        (class, channels(&identity.blob(), kind, letter, &numbers))
+    })
 }
 
-/// The same of a board info blob.
+/// The same of a board info blob whose channels have the numbers from 0 on.
 pub(crate) fn classes_of(
     blob: &Blob<'_>,
     counts: Channels,
 ) -> [(&'static str, Vec<(String, String)>); 5] {
-    let of = |kind, class, count| channels(blob, kind, class, count);
-    [
-        ("stepgen", of(Kind::Stepgen, 's', counts.stepgens)),
-        ("encoder", of(Kind::Encoder, 'e', counts.encoders)),
-        ("pwm", of(Kind::Pwm, 'p', counts.pwms)),
-        ("input", of(Kind::Input, 'i', counts.inputs)),
-        ("output", of(Kind::Output, 'o', counts.outputs)),
-    ]
+    let counts = [
+        counts.stepgens,
+        counts.encoders,
+        counts.pwms,
+        counts.inputs,
+        counts.outputs,
+    ];
+    let mut of_class = counts.into_iter();
+    CLASSES.map(|(class, kind, letter)| {
+        let numbers: Vec<u8> = (0..of_class.next().unwrap_or(0)).collect();
+        (class, channels(blob, kind, letter, &numbers))
+    })
 }
 
 fn network(identity: &Identity) -> (Option<String>, Option<String>, Option<u16>) {
@@ -322,8 +346,49 @@ fn to_json(identity: &Identity, overview: &Overview) -> Value {
     value
 }
 
-fn to_text(identity: &Identity, overview: &Overview, calls: Calls, ways: &ways::Facts) -> String {
+/// What became of the configuration of the pins, and what to do about it.
+fn configured(pins: Loaded) -> String {
+    let verdict = pins.verdict;
+    match verdict {
+        Verdict::InForce => format!(
+            "configured by the board file above, copy {}",
+            pins.copy.unwrap_or(0)
+        ),
+        _ => format!(
+            "nothing is driven; the stored board file: {verdict}; {}",
+            remedy(verdict)
+        ),
+    }
+}
+
+/// The state, what stopped it, and why it would not arm.
+fn doing(describe: &Describe) -> String {
+    let state = &describe.state;
+    let mut doing = state.state.text().to_owned();
+    if state.reason != wire::FaultReason::None {
+        doing += &format!(", stopped by {}", state.reason);
+    }
+    if describe.obstacles & OBSTACLE_ABI != 0 {
+        doing += ", will not arm: ABI mismatch";
+    }
+    if describe.obstacles & OBSTACLE_FLASH != 0 {
+        doing += ", will not arm while its flash is written";
+    }
+    if describe.obstacles & OBSTACLE_PINS != 0 {
+        doing += ", will not arm: its board file is not one for it";
+    }
+    doing
+}
+
+fn to_text(description: &Description) -> String {
     use std::fmt::Write;
+    let Description {
+        identity,
+        overview,
+        calls,
+        ways,
+        pins,
+    } = description;
     let describe = &identity.describe;
     let blob = identity.blob();
     let mut text = String::new();
@@ -364,18 +429,10 @@ fn to_text(identity: &Identity, overview: &Overview, calls: Calls, ways: &ways::
         format!("{} MHz", f64::from(describe.clock_hz) / 1e6),
     );
     line("boot id", format!("{:#010x}", describe.boot_id));
-    let state = &describe.state;
-    let mut doing = state.state.text().to_owned();
-    if state.reason != wire::FaultReason::None {
-        doing += &format!(", stopped by {}", state.reason);
+    line("state", doing(describe));
+    if let Some(pins) = pins {
+        line("pins", configured(*pins));
     }
-    if describe.obstacles & OBSTACLE_ABI != 0 {
-        doing += ", will not arm: ABI mismatch";
-    }
-    if describe.obstacles & OBSTACLE_FLASH != 0 {
-        doing += ", will not arm while its flash is written";
-    }
-    line("state", doing);
     line(
         "last",
         format!(
@@ -398,13 +455,10 @@ fn to_text(identity: &Identity, overview: &Overview, calls: Calls, ways: &ways::
     for (name, value) in flash_lines(overview) {
         line(name, value);
     }
-    for (class, list) in classes(identity) {
-        for (n, (name, pins)) in list.into_iter().enumerate() {
-            let head = if n == 0 {
-                format!("{class} ")
-            } else {
-                String::new()
-            };
+    for ((class, list), (_, kind, _)) in classes(identity).into_iter().zip(CLASSES) {
+        let mut heads = core::iter::once(format!("{class} "));
+        for (n, (name, pins)) in identity.numbers(kind).into_iter().zip(list) {
+            let head = heads.next().unwrap_or_default();
             line(
                 &head,
                 format!("{n:>2}  {name:<16} {pins}").trim_end().to_owned(),

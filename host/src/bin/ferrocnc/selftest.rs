@@ -4,16 +4,15 @@ use crate::findings;
 use anyhow::{Result, bail};
 use clap::Args;
 use ferrocnc::client::Identity;
-use ferrocnc::selftest::Wall;
 use ferrocnc::selftest::loops::{Loop, Sink, Source};
 use ferrocnc::selftest::run::{Bench, PATIENCE, Plan, idle, run as test};
+use ferrocnc::selftest::{Wall, gather};
 use ferrocnc_config::Platform;
 use ferrocnc_config::source::BUILT_IN;
 use std::io::{BufRead, IsTerminal, Write};
 use std::path::PathBuf;
 use std::time::Duration;
 use wire::board::Kind;
-use wire::describe::FEATURE_READBACK;
 
 #[derive(Args)]
 pub(crate) struct Selftest {
@@ -120,18 +119,21 @@ fn warning(identity: &Identity, plan: &Plan) -> String {
     text += "    every output is live while the board is armed, not only the ones tested;\n";
     text += "  * leave the motors' supply off.\n";
     if plan.outputs {
-        let count = identity.describe.channels.outputs;
-        text += &format!("It switches {count} outputs, one after the other:\n");
-        for n in 0..usize::from(count) {
-            let name = identity.blob().text(Kind::Output, n as u8).unwrap_or("");
-            text += &format!("  output {n} {name}{}\n", pins(identity, b'o', n));
+        let outputs = identity.numbers(Kind::Output);
+        text += &format!(
+            "It switches {} outputs, one after the other:\n",
+            outputs.len()
+        );
+        for n in outputs {
+            let name = identity.blob().text(Kind::Output, n).unwrap_or("");
+            text += &format!("  output {n} {name}{}\n", pins(identity, b'o', n.into()));
         }
         let channels = identity.describe.channels;
         let moving = [
             ("stepgen", Kind::Stepgen, b's', channels.stepgens),
             ("pwm", Kind::Pwm, b'p', channels.pwms),
         ];
-        if identity.describe.features & FEATURE_READBACK != 0 {
+        if gather::reads_pads(identity) {
             text += "It steps every step generator a few times and turns every PWM fully on:\n";
             for (kind, name, class, count) in moving {
                 for n in 0..count {

@@ -144,8 +144,11 @@ impl Look {
                 })
             })
             .collect();
-        let inputs: Vec<Value> = (0..usize::from(channels.inputs))
-            .map(|n| json!({ "name": name(Kind::Input, n), "level": status.gpio_in >> n & 1 != 0 }))
+        let inputs: Vec<Value> = { identity.numbers(Kind::Input).into_iter() }
+            .map(|n| {
+                let level = status.gpio_in >> n & 1 != 0;
+                json!({ "name": name(Kind::Input, n.into()), "level": level })
+            })
             .collect();
         json!({
             "state": status.state.state.text(),
@@ -280,9 +283,9 @@ impl Look {
     /// Name and level of every input.
     fn levels(&self, identity: &Identity) -> Vec<String> {
         let blob = identity.blob();
-        (0..usize::from(identity.describe.channels.inputs))
+        { identity.numbers(Kind::Input).into_iter() }
             .map(|n| {
-                let name = blob.text(Kind::Input, n as u8);
+                let name = blob.text(Kind::Input, n);
                 let name = name.map_or_else(|| format!("{n:02}"), str::to_owned);
                 format!("{name}={}", self.status.gpio_in >> n & 1)
             })

@@ -105,8 +105,7 @@ pub(crate) fn name(identity: &Identity) -> String {
 /// Names and pins of the board, and what the machine's file says of its motors.
 pub(crate) fn layout(identity: &Identity, file: Option<&File>) -> Layout {
     let blob = identity.blob();
-    let channels = identity.describe.channels;
-    let lines = |kind: Kind, letter: u8, count: u8, keys: &[&str]| -> Vec<Labelled> {
+    let lines = |kind: Kind, letter: u8, keys: &[&str]| -> Vec<Labelled> {
         let line = |n: u8| {
             let pins = keys
                 .iter()
@@ -114,22 +113,23 @@ pub(crate) fn layout(identity: &Identity, file: Option<&File>) -> Layout {
             Labelled {
                 name: blob.text(kind, n).unwrap_or("").to_owned(),
                 pins: pins.collect::<Vec<_>>().join(" "),
+                bit: n,
             }
         };
-        (0..count).map(line).collect()
+        identity.numbers(kind).into_iter().map(line).collect()
     };
-    let motors = lines(Kind::Stepgen, b's', channels.stepgens, &["step", "dir"]);
-    let outputs = lines(Kind::Output, b'o', channels.outputs, &["pin"]);
+    let motors = lines(Kind::Stepgen, b's', &["step", "dir"]);
+    let outputs = lines(Kind::Output, b'o', &["pin"]);
     let machine = file.map(|file| &file.machine);
     let enable = machine.and_then(|machine| machine.drive_enable.as_ref());
     let drive_enable = enable.and_then(|name| outputs.iter().position(|it| it.name == *name));
     Layout {
-        inputs: lines(Kind::Input, b'i', channels.inputs, &["pin"]),
+        inputs: lines(Kind::Input, b'i', &["pin"]),
         motors: motors
             .into_iter()
             .map(|line| motor(line, machine))
             .collect(),
-        encoders: lines(Kind::Encoder, b'e', channels.encoders, &["a", "b", "index"]),
+        encoders: lines(Kind::Encoder, b'e', &["a", "b", "index"]),
         drive_enable,
         outputs,
         unit: machine

@@ -50,8 +50,8 @@ pub(super) fn draw(frame: &mut Frame<'_>, tryout: &Tryout, title: &str) {
 
 fn inputs(tryout: &Tryout) -> Paragraph<'static> {
     let levels = tryout.status().map(|status| status.gpio_in);
-    let line = |(n, input): (usize, &Labelled)| {
-        let level = levels.map(|levels| levels >> n & 1 != 0);
+    let line = |input: &Labelled| {
+        let level = levels.map(|levels| levels >> input.bit & 1 != 0);
         let (text, colour) = match level {
             Some(true) => ("high", Color::Yellow),
             Some(false) => ("low", Color::Gray),
@@ -60,7 +60,7 @@ fn inputs(tryout: &Tryout) -> Paragraph<'static> {
         let level = text::Span::styled(text, Style::new().fg(colour));
         text::Line::from(vec![format!("{} ", named(input)).into(), level])
     };
-    let lines: Vec<_> = tryout.layout.inputs.iter().enumerate().map(line).collect();
+    let lines: Vec<_> = tryout.layout.inputs.iter().map(line).collect();
     Paragraph::new(lines).block(Block::bordered().title("inputs"))
 }
 

@@ -179,8 +179,8 @@ async fn keys(State(shared): State<Shared>, Json(keys): Json<Keys>) -> Answer {
 fn to_json(tryout: &Tryout, hold: &str, title: &str) -> Value {
     let layout = &tryout.layout;
     let levels = tryout.status().map(|status| status.gpio_in);
-    let input = |(n, line): (usize, &Labelled)| {
-        let level = levels.map(|levels| levels >> n & 1 != 0);
+    let input = |(_, line): (usize, &Labelled)| {
+        let level = levels.map(|levels| levels >> line.bit & 1 != 0);
         json!({ "name": line.name, "pins": line.pins, "level": level })
     };
     let output = |(n, line): (usize, &Labelled)| {
