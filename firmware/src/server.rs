@@ -8,8 +8,8 @@
 //! counted by reason and has no other effect.
 
 mod ahead;
-mod configured;
 mod judge;
+mod stored;
 
 use self::judge::{COMMAND_END, FLASH_END, Judge, PANIC_END, check_read, writes_of};
 use crate::auth::Auth;
@@ -269,21 +269,6 @@ impl Server {
             self.event(board, Event::LinkDown);
         }
         self.refresh();
-    }
-
-    /// Does a slice of the flash operation. True if that was its last.
-    #[inline(never)]
-    pub(crate) fn poll_flash<B: Board>(&mut self, board: &mut B) -> bool {
-        let now = board.now();
-        let done = self.flash.poll(board.spi(), now, self.ident.clock_hz);
-        self.hold();
-        done
-    }
-
-    /// Begins to save settings, for a sender that was not refused.
-    pub(crate) fn save<B: Board>(&mut self, board: &mut B, settings: wire::settings::Settings) {
-        self.flash.start_save(board.spi(), settings);
-        self.hold();
     }
 
     fn refresh(&mut self) {

@@ -11,7 +11,7 @@
 use ferrocnc_config::board::{Board, Class, ControlInput};
 use ferrocnc_config::platform::Level;
 
-use crate::soc::Pins;
+use crate::soc::{Pins, Wiring};
 
 /// One wire between a line of the headers and a function's pin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -153,9 +153,10 @@ impl Plug {
             outputs: None,
         }
     }
+}
 
-    /// What the gateware is to see: the levels of the lines, and whether the button is pressed.
-    pub(crate) fn inside(&mut self, pins: &Pins) -> (u64, u8) {
+impl Wiring for Plug {
+    fn inside(&mut self, pins: &Pins) -> (u64, u8) {
         let world = World {
             input: pins.gpio_in,
             encoders: [pins.enc_a, pins.enc_b, pins.enc_i, pins.enc_mask],
@@ -178,9 +179,7 @@ impl Plug {
         (lines, key)
     }
 
-    /// Puts the levels of the lines that the board drives on the functions' pins. A line that is
-    /// not driven shows 0.
-    pub(crate) fn outside(&mut self, pins: &mut Pins) {
+    fn outside(&mut self, pins: &mut Pins) {
         let (levels, drives) = (pins.header_out, pins.header_drives);
         let shown = match self.outputs {
             Some((before, drove, shown)) if (before, drove) == (levels, drives) => shown,

@@ -191,7 +191,9 @@ impl Rig<Soc> {
     pub fn power_up(setup: Setup) -> Result<Self, Error> {
         let manifest = Manifest::read(&setup.soc_dir)?;
         let mut soc = Soc::load(&setup.soc_dir, setup.trace.is_some())?;
-        soc.plug_in(setup.plug);
+        if let Some(plug) = setup.plug {
+            soc.plug_in(Box::new(plug));
+        }
         let rom_words = soc.rom_words();
         let mut image = Image::read(&setup.firmware, rom_words)?;
         if setup.trailer != Trailer::NONE {

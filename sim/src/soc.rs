@@ -11,7 +11,6 @@ use libloading::Library;
 use serde::Deserialize;
 
 use crate::error::Error;
-use crate::plug::Plug;
 
 /// Version of [`Pins`] and of the functions below; equal to `ABI_VERSION` in `verilator/shim.cpp`.
 const SHIM_ABI: u32 = 11;
@@ -194,6 +193,16 @@ pub trait Silicon {
     fn trace_close(&mut self) {}
 }
 
+/// What is wired to the headers of a card whose pins are configured ([`crate::plug`]).
+pub trait Wiring: Send {
+    /// What the gateware is to see: the levels of the lines, and whether the button is pressed.
+    fn inside(&mut self, pins: &Pins) -> (u64, u8);
+
+    /// Puts the levels of the lines that the board drives on the functions' pins. A line that is
+    /// not driven shows 0.
+    fn outside(&mut self, pins: &mut Pins);
+}
+
 /// What the gateware elaboration says about the SoC (`manifest.json`).
 #[derive(Clone, Debug, Deserialize)]
 pub struct Manifest {
@@ -269,7 +278,7 @@ pub struct Soc {
     on_spi: OnSpiFn,
     free: HandleFn,
     path: PathBuf,
-    plug: Option<Plug>,
+    wiring: Option<Box<dyn Wiring>>,
     // Boxed twice: the shim holds a thin pointer to the inner box.
     spi: Option<Box<SpiDevice>>,
     // Last: the code above lives in it.
@@ -345,7 +354,7 @@ impl Soc {
                 trace_close: *library.get(b"fc_trace_close").map_err(err)?,
                 on_spi: *library.get(b"fc_on_spi").map_err(err)?,
                 free: *library.get(b"fc_free").map_err(err)?,
-                plug: None,
+                wiring: None,
                 spi: None,
                 handle: new(),
                 path,
@@ -383,10 +392,10 @@ impl Soc {
         unsafe { (self.on_spi)(self.handle, Some(on_spi), context.cast()) }
     }
 
-    /// Wires the headers of a card whose pins are configured; without a plug every line is pulled
+    /// Wires the headers of a card whose pins are configured; without it every line is pulled
     /// up.
-    pub fn plug_in(&mut self, plug: Option<Plug>) {
-        self.plug = plug;
+    pub fn plug_in(&mut self, wiring: Box<dyn Wiring>) {
+        self.wiring = Some(wiring);
     }
 
     /// Address of the instruction that left the CPU's pipeline with the last clock edge; `None` in
@@ -433,16 +442,16 @@ impl Soc {
 impl Silicon for Soc {
     #[inline]
     fn rise(&mut self, pins: &mut Pins, clocks: u32, time_ps: u64) {
-        let Some(plug) = &mut self.plug else {
+        let Some(wiring) = &mut self.wiring else {
             // SAFETY: `pins` has the layout of the shim's struct and is borrowed for the call only.
             return unsafe { (self.rise)(self.handle, pins, clocks, time_ps) };
         };
         let factory = pins.factory;
-        (pins.header_in, pins.factory) = plug.inside(pins);
+        (pins.header_in, pins.factory) = wiring.inside(pins);
         // SAFETY: as above.
         unsafe { (self.rise)(self.handle, pins, clocks, time_ps) }
         pins.factory = factory;
-        plug.outside(pins);
+        wiring.outside(pins);
     }
 
     fn trace_open(&mut self, file: &Path) -> Result<(), Error> {

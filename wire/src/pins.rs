@@ -3,14 +3,23 @@
 //! ([`crate::describe::FEATURE_PINS`]).
 //!
 //! ```text
-//! word  0 "FPIN"                       6 CRC-32 of the platform's name    12..44 routes of the outputs
-//!       1 version, 1                   7 used: stepgens | encoders << 8   44..48 driven lines
-//!       2 bytes, a multiple of 4               | pwms << 16               48..80 routes of the inputs
-//!       3 CRC-32 from word 4 on        8 used: inputs | outputs << 8      84..   the description, then
-//!       4 generation                   9 bytes of the description                the file's text
-//!       5 built: as word 7,           10 bytes of the file's text
-//!         lines << 24                 11 zero                            80..84 safe levels of the
-//!                                                                             outputs, and inversions
+//! word 0 "FPIN"
+//!      1 version, 1
+//!      2 bytes, a multiple of 4
+//!      3 CRC-32 from word 4 on
+//!      4 generation
+//!      5 built: stepgens | encoders << 8 | pwms << 16 | lines << 24
+//!      6 CRC-32 of the platform's name
+//!      7 used: stepgens | encoders << 8 | pwms << 16
+//!      8 used: inputs | outputs << 8
+//!      9 bytes of the description
+//!     10 bytes of the file's text
+//!     11 zero
+//!     12 routes of the outputs, 32 words
+//!     44 driven lines, 4 words
+//!     48 routes of the inputs, 32 words
+//!     80 safe levels of the outputs, 2 words; which are inverted, 2 words
+//!     84 the description, then the file's text
 //! ```
 //!
 //! Big-endian words. A route is a byte, four in a word, the first one lowest: bits 6:0 the source,
@@ -147,7 +156,7 @@ impl Built {
         }
     }
 
-    // Sources of the outputs -----------------------------------------------------------------------
+    // Sources of the outputs --------------------------------------------------------------------
 
     /// STEP of a step generator; DIR is the next source.
     pub const fn step(self, n: u8) -> u8 {
@@ -180,7 +189,7 @@ impl Built {
         self.sources() + line % 4
     }
 
-    // Inputs of the cores --------------------------------------------------------------------------
+    // Inputs of the cores -----------------------------------------------------------------------
 
     /// A of an encoder; B, index and mask follow.
     pub const fn encoder(self, n: u8) -> u8 {

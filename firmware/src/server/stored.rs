@@ -1,5 +1,6 @@
-//! The configuration of the pins, as far as the server has to do with it: its channels are the
-//! board's, its levels follow the settings, and a bad one prevents arming.
+//! What lies in the flash, as far as the server has to do with it: the settings, and the
+//! configuration of the pins. Its channels are the board's, its levels follow the settings, and a
+//! bad one prevents arming, as an operation of the flash does while it runs.
 
 use super::Server;
 use crate::block::Shape;
@@ -47,5 +48,20 @@ impl Server {
             pins.verdict = Verdict::Refused;
             self.hold();
         }
+    }
+
+    /// Does a slice of the flash operation. True if that was its last.
+    #[inline(never)]
+    pub(crate) fn poll_flash<B: Board>(&mut self, board: &mut B) -> bool {
+        let now = board.now();
+        let done = self.flash.poll(board.spi(), now, self.ident.clock_hz);
+        self.hold();
+        done
+    }
+
+    /// Begins to save settings, for a sender that was not refused.
+    pub(crate) fn save<B: Board>(&mut self, board: &mut B, settings: wire::settings::Settings) {
+        self.flash.start_save(board.spi(), settings);
+        self.hold();
     }
 }
