@@ -141,7 +141,6 @@ pub fn check(
         Setting::EncoderFilter(_) => 0..=ENCODER_FILTER_MAX,
         Setting::Debounce(_) => 0..=DEBOUNCE_MAX,
         Setting::Board(BoardConfig::Probe) => {
-            // Five bits: an input of the first word.
             let there = value & PROBE_INPUT_MASK < u32::from(channels.inputs);
             return allow(value & !PROBE_BITS == 0 && (there || value & PROBE_ENABLE == 0));
         }
@@ -257,12 +256,12 @@ mod tests {
     #[test]
     fn the_probe_is_an_input_the_board_has_or_none() {
         let probe = Setting::Board(BoardConfig::Probe);
-        for input in 0..32 {
+        for input in 0..64 {
             assert!(ok(probe, input), "disabled, with any input");
             assert_eq!(ok(probe, input | PROBE_ENABLE), input < 12, "{input}");
             assert_eq!(ok(probe, input | PROBE_ENABLE | PROBE_INVERT), input < 12);
         }
-        assert!(!ok(probe, 1 << 5) && !ok(probe, 1 << 10) && !ok(probe, 1 << 31));
+        assert!(!ok(probe, 1 << 6) && !ok(probe, 1 << 10) && !ok(probe, 1 << 31));
     }
 
     #[test]

@@ -486,17 +486,18 @@ class Cores(LiteXModule):
         where a board has so many pins: a core for each."""
         pads, job, wide = self.pads, self.job, rm.WORD_PINS
         latched = Signal(wide)
-        raw = self._gpio_word(
+        raw = list(self._gpio_word(
             fabric, rm.GPIO, 0, ("gpio_out", "gpio_in"), channels, safe_mask, invert_mask,
             p_ESTOP_MASK=Constant(estop_mask, wide), p_ESTOP_LEVEL=Constant(estop_level, wide), p_JOBS=int(self.jobs > 0),
             i_job_mask=job.mask if job else 0, i_job_value=Cat(job.aux, job.aux)[:min(wide, len(pads.outputs))] if job else 0,
-            i_clear=self.cleared, o_estop=Signal() if self.lines else estop, o_estop_latched=latched)
+            i_clear=self.cleared, o_estop=Signal() if self.lines else estop, o_estop_latched=latched))
         if channels.inputs and not self.lines:
             self._sampled(fabric, "estop", latched[:min(wide, channels.inputs)])
         fabric.live(rm.GPIO, "estop_mask", estop_mask)
         fabric.live(rm.GPIO, "estop_level", estop_level)
         if max(channels.inputs, channels.outputs) > wide:
-            self._gpio_word(fabric, rm.GPIO_HIGH, wide, ("gpio_out_high", "gpio_in_high"), channels, safe_mask >> wide, invert_mask >> wide)
+            high = self._gpio_word(fabric, rm.GPIO_HIGH, wide, ("gpio_out_high", "gpio_in_high"), channels, safe_mask >> wide, invert_mask >> wide)
+            raw += [0] * (wide - len(raw)) + list(high)
         self._probe(fabric, raw)
 
     def _gpio_word(self, fabric, bank, first, names, channels, safe_mask, invert_mask, **more):
@@ -534,8 +535,8 @@ class Cores(LiteXModule):
         delay it."""
         select = fabric.storage(rm.GPIO, "probe", 10)
         self.probe = Signal()
-        self.sync += self.probe.eq(select[8] & (Array(list(raw) + [0] * (32 - len(raw)))[select[:5]] ^ select[9]))
-        fabric.live(rm.GPIO, "probe", Cat(select[:5], Constant(0, 3), select[8:]))
+        self.sync += self.probe.eq(select[8] & (Array(raw + [0] * (rm.MAX_IN - len(raw)))[select[:6]] ^ select[9]))
+        fabric.live(rm.GPIO, "probe", Cat(select[:6], Constant(0, 2), select[8:]))
 
     def _latch(self, index, probe_arm, index_arm, pending, indexed, probed):
         """The latch of one channel; returns its capture pulse."""

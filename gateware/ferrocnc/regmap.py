@@ -48,8 +48,8 @@ MAX_ENCODER = 16
 MAX_PWM = 16
 MAX_IN = 64
 MAX_OUT = 64
-# Inputs and outputs of a word. Those behind the first word have registers of their own, and are
-# neither e-stop inputs nor the probe, and no job controls them.
+# Inputs and outputs of a word. Those behind the first word have registers of their own, and no job
+# controls them; a board file's e-stop inputs are in the first.
 WORD_PINS = 32
 
 # LiteX's own pages, by LiteX's names --------------------------------------------------------------
@@ -278,7 +278,7 @@ GPIO = Bank("gpio", 11, "gpio", "The first 32 digital inputs and outputs, one bi
         "the board file."),
     Reg("probe", "rw", "Which input is the probe of every encoder and step generator. The probe is "
         "not debounced.", (
-        Field("input", 0, 5, "Number of the input."),
+        Field("input", 0, 6, "Number of the input."),
         _bit("enable", 8, "1: the probe follows the input; 0: it is inactive."),
         _bit("invert", 9, "1: the probe is active while the input is low."),
     )),

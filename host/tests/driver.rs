@@ -338,7 +338,7 @@ fn the_external_reset_is_named_and_holds_until_it_is_gone() {
 }
 
 #[test]
-fn pins_behind_the_first_32_travel_with_the_exchange_and_have_all_settings_but_the_probe() {
+fn pins_behind_the_first_32_travel_with_the_exchange_and_have_all_settings() {
     let channels = wire::describe::Channels {
         stepgens: 1,
         encoders: 0,
@@ -349,7 +349,7 @@ fn pins_behind_the_first_32_travel_with_the_exchange_and_have_all_settings_but_t
     let mut rig = Rig::of(FakeBoard::of("127.0.0.1:0", channels, LOCKSTEP));
     rig.hal.set("ferrocnc.0.gpio.40.invert", true);
     rig.hal.set("ferrocnc.0.gpio.63.debounce-ns", 1_000_000u32);
-    rig.hal.set("ferrocnc.0.probe-input", 32);
+    rig.hal.set("ferrocnc.0.probe-input", 63);
     rig.arm();
     assert!(rig.enabled(), "{:?}", rig.hal.said());
     rig.board.look().knobs.gpio_in = 1 << 63 | 1 << 31;
@@ -366,8 +366,8 @@ fn pins_behind_the_first_32_travel_with_the_exchange_and_have_all_settings_but_t
     assert_eq!(setting(map::BoardConfig::GpioInvert), 0);
     assert_eq!(
         setting(map::BoardConfig::Probe),
-        0,
-        "the probe is among the first 32"
+        63 | map::PROBE_ENABLE,
+        "any input can be the probe"
     );
     assert_eq!(board.config[&(map::CONFIG_DEBOUNCE + 4 * 63)], 1875);
 }

@@ -176,7 +176,7 @@ fn every_integer_from_hal_is_checked_and_those_that_mean_nothing_are_told() {
                 "step-type" => (0.0..=2.0).contains(&value),
                 "mode" => (0.0..=5.0).contains(&value),
                 "output-type" => (1.0..=4.0).contains(&value),
-                "probe-input" => (-1.0..=31.0).contains(&value),
+                "probe-input" => (-1.0..=63.0).contains(&value),
                 "packet-error-limit" | "packet-error-increment" | "packet-error-decrement" => {
                     value >= 0.0
                 }

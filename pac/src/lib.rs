@@ -3438,7 +3438,7 @@ pub mod gpio {
         #[doc = "Field `input` reader - Number of the input."]
         pub type InputR = crate::FieldReader;
         #[doc = "Field `input` writer - Number of the input."]
-        pub type InputW<'a, REG> = crate::FieldWriter<'a, REG, 5>;
+        pub type InputW<'a, REG> = crate::FieldWriter<'a, REG, 6>;
         #[doc = "Field `enable` reader - 1: the probe follows the input; 0: it is inactive."]
         pub type EnableR = crate::BitReader;
         #[doc = "Field `enable` writer - 1: the probe follows the input; 0: it is inactive."]
@@ -3448,10 +3448,10 @@ pub mod gpio {
         #[doc = "Field `invert` writer - 1: the probe is active while the input is low."]
         pub type InvertW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bits 0:4 - Number of the input."]
+            #[doc = "Bits 0:5 - Number of the input."]
             #[inline(always)]
             pub fn input(&self) -> InputR {
-                InputR::new((self.bits & 0x1f) as u8)
+                InputR::new((self.bits & 0x3f) as u8)
             }
             #[doc = "Bit 8 - 1: the probe follows the input; 0: it is inactive."]
             #[inline(always)]
@@ -3465,7 +3465,7 @@ pub mod gpio {
             }
         }
         impl W {
-            #[doc = "Bits 0:4 - Number of the input."]
+            #[doc = "Bits 0:5 - Number of the input."]
             #[inline(always)]
             pub fn input(&mut self) -> InputW<'_, ProbeSpec> {
                 InputW::new(self, 0)

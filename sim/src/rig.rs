@@ -90,6 +90,9 @@ impl Setup {
     }
 }
 
+/// Datagrams without an answer, after which a host asks for the board's hardware address.
+const SILENT: u32 = 10;
+
 /// A frame on its way to the board, and the request in it if it is one.
 #[derive(Clone, Debug)]
 struct Outgoing {
@@ -171,6 +174,8 @@ pub struct Rig<S = Soc> {
     busy_clocks: u64,
     next_poll: u64,
     ping_seq: u16,
+    /// Frames the board had sent when it was asked, and how often it was since.
+    unheard: (u64, u32),
 }
 
 impl Rig<Soc> {
@@ -244,6 +249,7 @@ impl<S: Silicon> Rig<S> {
             busy_clocks: 0,
             next_poll: 0,
             ping_seq: 0,
+            unheard: (0, 0),
         }
     }
 
@@ -482,6 +488,21 @@ impl<S: Silicon> Rig<S> {
     }
 
     // ---- UDP ------------------------------------------------------------------------------------
+
+    /// As a PC's neighbour table does: a board that has been silent for [`SILENT`] datagrams is asked
+    /// for its hardware address again, which another configuration may have changed.
+    pub(crate) fn ask_again(&mut self) {
+        let heard = self.frames.from_board;
+        self.unheard = match self.unheard {
+            (before, count) if before == heard => (heard, count + 1),
+            _ => (heard, 0),
+        };
+        if self.unheard.1 > SILENT {
+            self.unheard.1 = 0;
+            let request = self.segment.arp_request(HOST_IP);
+            self.inject_frame(&request);
+        }
+    }
 
     /// Put a datagram on the wire and return at once.
     pub fn post(&mut self, from: Endpoint, port: u16, payload: &[u8]) {

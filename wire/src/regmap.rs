@@ -11,7 +11,7 @@
 
 /// ABI number: first 32 bits of the SHA-256 of the normalised register map and of the
 /// exchange's layout (`wire/layout.txt`).
-pub const ABI: u32 = 0x8a429d85;
+pub const ABI: u32 = 0x4de0da8a;
 /// The value of [`ident::MAGIC`]: "FCnC".
 pub const IDENT_MAGIC: u32 = 0x46436e43;
 /// First byte of the image.
@@ -449,7 +449,7 @@ pub mod gpio {
     /// (rw)
     pub const PROBE: usize = 7;
     /// Number of the input.
-    pub const PROBE_INPUT: u32 = 0x1f;
+    pub const PROBE_INPUT: u32 = 0x3f;
     /// 1: the probe follows the input; 0: it is inactive.
     pub const PROBE_ENABLE: u32 = 1 << 8;
     /// 1: the probe is active while the input is low.

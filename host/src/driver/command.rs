@@ -6,7 +6,6 @@ use crate::blocks::stepgen::Stepgen;
 use crate::blocks::{Feedback, Period};
 use crate::fault::Fault;
 use crate::settings::{Disarmed, Periods};
-use wire::channels::WORD_PINS;
 use wire::exchange::{COMMAND_MAX, Command, Latch, REQUEST_OVERHEAD};
 use wire::map::{PROBE_ENABLE, PROBE_INPUT_MASK, PROBE_INVERT};
 use wire::units::Clocks;
@@ -98,9 +97,9 @@ impl Driver {
         for (words, stepgen) in wanted.stepgen.iter_mut().zip(&mut self.blocks.stepgens) {
             *words = stepgen.configure(clock_hz);
         }
-        let input = self.pins.probe_input.get();
-        if (0..i32::from(WORD_PINS)).contains(&input) {
-            wanted.probe = input as u32 & PROBE_INPUT_MASK | PROBE_ENABLE;
+        let input = usize::try_from(self.pins.probe_input.get()).ok();
+        if let Some(input) = input.and_then(|input| self.blocks.inputs.get(input)) {
+            wanted.probe = input.number() as u32 & PROBE_INPUT_MASK | PROBE_ENABLE;
             if self.pins.probe_invert.get() {
                 wanted.probe |= PROBE_INVERT;
             }

@@ -20,12 +20,12 @@ use crate::hal::checked::{Checked, Rule, Watch};
 use crate::hal::{Backend, Catalogue, ExportError, Exporter, In, Messenger, Out, Param};
 use crate::link::{Flood, Link};
 use wire::board::Kind;
-use wire::channels::WORD_PINS;
 use wire::describe::Describe;
 use wire::exchange::MAX_CHANNELS;
+use wire::regmap::IN_MAX;
 
 /// None, or one of those that can be it.
-const PROBE_INPUTS: Rule = Rule::Whole(-1, WORD_PINS as i32 - 1);
+const PROBE_INPUTS: Rule = Rule::Whole(-1, IN_MAX as i32 - 1);
 
 /// The board-wide pins.
 #[derive(Debug)]

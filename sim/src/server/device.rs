@@ -135,7 +135,10 @@ impl<S: Silicon> Device for Rig<S> {
     }
     fn post(&mut self, port: u16, service: Service, payload: &[u8]) {
         match service {
-            Service::Etherbone => Rig::post(self, (HOST_IP, port), BOARD_PORT, payload),
+            Service::Etherbone => {
+                self.ask_again();
+                Rig::post(self, (HOST_IP, port), BOARD_PORT, payload);
+            }
             Service::Discovery => self.broadcast((HOST_IP, port), wire::DISCOVERY_PORT, payload),
             Service::Dhcp => {}
             Service::Cable => drop(self.inject_frame(payload)),

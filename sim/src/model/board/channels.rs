@@ -290,8 +290,13 @@ impl Hub {
     }
 
     pub(super) fn next_probe(&self, regs: &Regs) -> bool {
+        let input = regs.probe & PROBE_INPUT_MASK;
+        let word = match input / u32::from(WORD_PINS) {
+            0 => self.gpio.raw(),
+            _ => self.gpio_high.as_ref().map_or(0, Gpio::raw),
+        };
         regs.probe & PROBE_ENABLE != 0
-            && bit(self.gpio.raw(), (regs.probe & PROBE_INPUT_MASK) as usize)
+            && bit(word, (input % u32::from(WORD_PINS)) as usize)
                 != (regs.probe & PROBE_INVERT != 0)
     }
 
