@@ -403,7 +403,7 @@ mod tests {
             for copy in [0, 1] {
                 let pins = layout.pins_copy(copy);
                 assert!(pins.start >= settings.end && pins.end <= layout.golden.start);
-                assert!(pins.start % SECTOR == 0 && pins.end % SECTOR == 0);
+                assert!(pins.start.is_multiple_of(SECTOR) && pins.end.is_multiple_of(SECTOR));
                 assert!(pins.end <= layout.protected());
             }
             assert_eq!(layout.pins_copy(0).end, layout.pins_copy(1).start);
