@@ -489,8 +489,8 @@ impl<S: Silicon> Rig<S> {
 
     // ---- UDP ------------------------------------------------------------------------------------
 
-    /// As a PC's neighbour table does: a board that has been silent for [`SILENT`] datagrams is asked
-    /// for its hardware address again, which another configuration may have changed.
+    /// As a PC's neighbour table does: a board that has been silent for [`SILENT`] datagrams is
+    /// asked for its hardware address again, which another configuration may have changed.
     pub(crate) fn ask_again(&mut self) {
         let heard = self.frames.from_board;
         self.unheard = match self.unheard {
