@@ -80,7 +80,7 @@ pub fn built(platform: &Platform, counts: Counts) -> Result<Built, Error> {
             problem: format!(
                 "are not what an image can have, which is a multiple of 4 up to {LINES_MAX}"
             ),
-            remedy: "build a board file for this card: `cargo xtask bitstream --board boards/NAME.toml` (decision 32 says why)".to_owned(),
+            remedy: "build a board file for this card: `cargo xtask bitstream boards/NAME.toml` (decision 32 says why)".to_owned(),
         }));
     }
     Ok(Built {

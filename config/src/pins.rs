@@ -235,9 +235,6 @@ fn enough(board: &Board, built: Built) -> Result<(), Error> {
     let has = [built.stepgens, built.encoders, built.pwms].map(usize::from);
     let classes = [Class::Stepgen, Class::Encoder, Class::Pwm];
     let needs = classes.map(|class| board.of(class).len());
-    let most: Vec<String> = { has.iter().zip(needs) }
-        .map(|(has, needs)| needs.max(*has).to_string())
-        .collect();
     for ((class, has), needs) in classes.into_iter().zip(has).zip(needs) {
         if needs > has {
             return Err(wrong(
@@ -246,9 +243,8 @@ fn enough(board: &Board, built: Built) -> Result<(), Error> {
                 "",
                 format!("is there {needs} times, and the card's image has {has}"),
                 format!(
-                    "take some out, or update the board with an image that has more: cargo xtask bitstream --platform {} --channels {}",
-                    platform.name,
-                    most.join("/")
+                    "take some out, or build this file alone and update the board: cargo xtask bitstream boards/{}.toml",
+                    board.name
                 ),
             ));
         }

@@ -268,7 +268,7 @@ fn a_file_with_more_channels_than_the_image_names_both_counts_and_what_would_hav
             [
                 "stepgen: is there 6 times",
                 "image has 4",
-                "--channels 6/8/8",
+                "cargo xtask bitstream boards/mill6.toml",
             ],
         ),
         (
@@ -279,7 +279,7 @@ fn a_file_with_more_channels_than_the_image_names_both_counts_and_what_would_hav
             [
                 "encoder: is there 6 times",
                 "image has 0",
-                "--channels 8/6/8",
+                "cargo xtask bitstream boards/mill6.toml",
             ],
         ),
         (
@@ -287,7 +287,7 @@ fn a_file_with_more_channels_than_the_image_names_both_counts_and_what_would_hav
             [
                 "pwm: is there 6 times",
                 "image has 5",
-                "--platform 5a-75b-8.0",
+                "cargo xtask bitstream boards/mill6.toml",
             ],
         ),
         (

@@ -360,9 +360,11 @@ impl<'t> Copies<'t> {
         let before = self.flasher.client().read(&ALIVE)?;
         let moved = self.elsewhere(network);
         let mut other = match moved {
-            Some(socket) => Some(Client::open(&at(socket))?.with_patience(QUESTION)),
+            // Without a way there it is only asked here: it is written, and must be restarted.
+            Some(socket) => Client::open(&at(socket)).ok(),
             None => None,
-        };
+        }
+        .map(|client| client.with_patience(QUESTION));
         self.step("restarting", 0, 1);
         let since = Instant::now();
         self.flasher.restart();

@@ -126,7 +126,9 @@ impl Plug {
         for class in Class::ALL {
             for (bit, channel) in (0..).zip(board.of(class)) {
                 for (key, pin) in &channel.pins {
-                    let ends = End::of(class, key).zip(board.platform.line(pin));
+                    // No image has more lines than `Pins` has bits.
+                    let line = board.platform.line(pin).filter(|line| *line < 64);
+                    let ends = End::of(class, key).zip(line);
                     wires.extend(ends.map(|(to, line)| Wire { line, to, bit }));
                 }
             }

@@ -277,6 +277,7 @@ fn stops(board: &Board, machine: &mut BenchMachine, command: &mut Command) {
 /// Clocks until the gate is closed, at most 100.
 fn until_closed(machine: &mut BenchMachine) -> u64 {
     let from = machine.clock();
+    assert!(machine.gate_open(), "it was open");
     while machine.gate_open() && machine.clock() < from + 100 {
         machine.run_clocks(1);
     }

@@ -8,8 +8,8 @@ pub const MAX_CHANNELS: usize = STEPGEN_MAX;
 
 const _: () = assert!(ENCODER_MAX == MAX_CHANNELS && PWM_MAX == MAX_CHANNELS);
 
-/// Inputs or outputs of a word. Only those of the first can be e-stop inputs, the probe, or outputs
-/// of a job.
+/// Inputs or outputs of a word. Only those of the first can be outputs of a job and, of a board
+/// whose pins are fixed, e-stop inputs.
 pub const WORD_PINS: u8 = regmap::WORD_PINS as u8;
 
 /// How many channels of each kind a board has.

@@ -330,7 +330,9 @@ impl Head {
             && self.0[8] >> 16 == 0;
         let room = self.bytes().unwrap_or(0).checked_sub(HEAD_WORDS as u32 * 4);
         let (described, text) = (self.description(), self.text());
-        let used = described.checked_add(text).map(|it| it.next_multiple_of(4));
+        let used = described
+            .checked_add(text)
+            .and_then(|it| it.checked_next_multiple_of(4));
         if !counts || used != room || described > crate::regmap::BOARD_ROM_SIZE as u32 {
             return Verdict::Counts;
         }
@@ -533,9 +535,13 @@ mod tests {
                 "{word} {value:#x}"
             );
         }
-        for (described, text, bytes) in
-            [(4, 0, 0), (0, 5, 4), (u32::MAX, 1, 0), (0x1004, 0, 0x1004)]
-        {
+        for (described, text, bytes) in [
+            (4, 0, 0),
+            (0, 5, 4),
+            (u32::MAX, 1, 0),
+            (0, u32::MAX, 0),
+            (0x1004, 0, 0x1004),
+        ] {
             let verdict = with(|words| {
                 words[2] += bytes;
                 (words[9], words[10]) = (described, text);

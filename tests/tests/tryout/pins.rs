@@ -42,6 +42,7 @@ impl Hand {
             line: Labelled {
                 name: "x".to_owned(),
                 pins: String::new(),
+                bit: 0,
             },
             scale: None,
             most: SPEED,
