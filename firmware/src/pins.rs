@@ -2,9 +2,10 @@
 //! and writes it to the gateware's multiplexer. [`crate::flash`] decides which copy may be written.
 //!
 //! ```text
-//!   newest whole copy --> Head::check --> nothing driven --> routes, rest levels --> driven lines
-//!                             |                                   |
-//!                             +------ bad, missing, factory pin --+--> no route, nothing driven
+//!   newest whole copy --> Head::check --> routes, rest levels --> driven lines, description
+//!                             |                  |
+//!                             +------------------+--> bad, missing, factory pin: nothing driven,
+//!                                                     no route
 //! ```
 //!
 //! A line's level while the gate is closed is not stored. It follows from its route and from the
@@ -115,7 +116,7 @@ impl Pins {
         }
         if verdict != Verdict::InForce {
             self.head.0.fill(u32::from_ne_bytes([NONE; 4]));
-            if !self.rest(board) {
+            if !(put(board, pinmux_out::DRIVES0, &[0; DRIVE_WORDS]) && self.rest(board)) {
                 verdict = Verdict::Refused;
             }
             forget_channels(board);
@@ -125,8 +126,9 @@ impl Pins {
         (Loaded { verdict, copy }, factory)
     }
 
-    /// Nothing is driven; then all routes, and the levels that follow from them. False if the
-    /// gateware refused a word.
+    /// All routes, and the levels that follow from them. A line that an earlier start has driven
+    /// goes on and rests: a restart lets go of no line, because its pull-up would make a pulse of
+    /// that. False if the gateware refused a word.
     #[inline(never)]
     fn rest<B: Board>(&mut self, board: &mut B) -> bool {
         let Built { lines, .. } = self.built;
@@ -134,14 +136,16 @@ impl Pins {
         let inputs = inputs.get(..usize::from(self.built.sinks() / 4));
         let outputs = outputs.get(..usize::from(lines / 4));
         self.levels = levels(board, self.built, self.head.outputs());
-        put(board, pinmux_out::DRIVES0, &[0; DRIVE_WORDS])
-            && put(board, INPUTS, inputs.unwrap_or(&[]))
+        put(board, INPUTS, inputs.unwrap_or(&[]))
             && put(board, pinmux_out::ROUTE0, outputs.unwrap_or(&[]))
             && put(board, pinmux_out::SAFE0, &self.levels)
     }
 
-    /// The description, then the driven lines. False if the gateware or the flash refused a word.
+    /// The driven lines, then the description. False if the gateware or the flash refused a word.
     fn drive<B: Board>(&self, board: &mut B, copy: u32) -> bool {
+        if !put(board, pinmux_out::DRIVES0, self.head.drives()) {
+            return false;
+        }
         let description = copy + 4 * HEAD_WORDS as u32;
         for word in 0..self.head.description().div_ceil(4) {
             let mut value = [0];
@@ -154,7 +158,7 @@ impl Pins {
             let [value] = value;
             board.describe(word as usize, value);
         }
-        put(board, pinmux_out::DRIVES0, self.head.drives())
+        true
     }
 
     /// A setting may have changed: writes the levels at rest if they have changed with it. The gate

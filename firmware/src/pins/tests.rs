@@ -199,7 +199,7 @@ fn a_board_has_the_channels_the_description_and_the_pins_of_its_configuration() 
 }
 
 #[test]
-fn nothing_is_driven_before_all_routes_and_levels_are_written() {
+fn a_line_is_driven_only_behind_all_routes_and_levels() {
     let rig = started(board([Some(&stored(&example(), 1)), None]));
     let base = |base: usize, words: core::ops::Range<usize>| {
         words.map(move |word| regmap::address(base, word))
@@ -207,24 +207,38 @@ fn nothing_is_driven_before_all_routes_and_levels_are_written() {
     let lines = usize::from(EIGHT.lines) / 4;
     let sinks = usize::from(EIGHT.sinks()) / 4;
     let drives = base(pinmux_out::BASE, 40..44);
-    let wanted: Vec<u32> = (drives.clone())
-        .chain(base(pinmux_in::BASE, 0..sinks))
+    let wanted: Vec<u32> = base(pinmux_in::BASE, 0..sinks)
         .chain(base(pinmux_out::BASE, 0..lines))
         .chain(base(pinmux_out::BASE, 32..40))
         .chain(drives)
         .collect();
     let log = &rig.board.mux.log;
     assert_eq!(log.iter().map(|(at, _)| *at).collect::<Vec<_>>(), wanted);
-    assert_eq!(
-        log[..4].iter().map(|(_, word)| *word).collect::<Vec<_>>(),
-        [0; 4]
-    );
     let gate = rig
         .board
         .done
         .iter()
         .position(|it| *it == Change::Order(crate::cores::Control::Close));
     assert_eq!(gate, Some(0), "the gate is closed before");
+}
+
+#[test]
+fn a_restart_lets_go_of_no_line_and_a_start_without_a_configuration_of_all() {
+    let drives = |rig: &Rig| -> Vec<u32> {
+        let first = regmap::address(pinmux_out::BASE, pinmux_out::DRIVES0);
+        let log = rig.board.mux.log.iter();
+        log.filter(|(at, _)| *at == first)
+            .map(|(_, word)| *word)
+            .collect()
+    };
+    let rig = started(board([Some(&stored(&example(), 1)), None]));
+    let all = drives(&rig);
+    assert_eq!(all.len(), 1);
+    let rig = started(rig.board);
+    assert_eq!(drives(&rig), all, "the same once more, and never 0");
+    let mut board = rig.board;
+    board.factory = true;
+    assert_eq!(drives(&started(board)), [0]);
 }
 
 #[test]
