@@ -3,7 +3,7 @@
 
 use ferrocnc_config::{Board, Class, Level};
 use ferrocnc_tests::{BenchMachine, card};
-use wire::describe::{FEATURE_PINS, OBSTACLE_PINS, OBSTACLES_AT, address};
+use wire::describe::{BOOT_ID_AT, FEATURE_PINS, OBSTACLE_PINS, OBSTACLES_AT, address};
 use wire::exchange::{Command, PWM_ENABLE, PWM_FRACTION};
 use wire::map;
 use wire::pins::{Loaded, Verdict};
@@ -80,6 +80,7 @@ fn every_function_of_the_mill_is_at_its_pin() {
     outputs(&board, &mut machine, &mut command);
     inputs(&board, &mut machine, &mut command);
     stops(&board, &mut machine, &mut command);
+    restart(&board, &mut machine);
 }
 
 #[test]
@@ -272,6 +273,31 @@ fn stops(board: &Board, machine: &mut BenchMachine, command: &mut Command) {
     machine.rig().ext_reset(true);
     let clocks = until_closed(machine);
     assert!(clocks <= 8, "external reset: {clocks} clocks");
+}
+
+/// The firmware restarts: meanwhile every line goes on being driven, at rest, and STEP shows no
+/// edge.
+fn restart(board: &Board, machine: &mut BenchMachine) {
+    machine.rig().ext_reset(false);
+    machine.acquire();
+    let boot = address(BOOT_ID_AT);
+    let before = machine.read(boot);
+    let axes = board.of(Class::Stepgen).len();
+    let edges: Vec<u64> = (0..axes).map(|axis| machine.edges(axis)).collect();
+    let lines = lines_to_drive(board);
+    machine.write(map::SESSION_REBOOT, map::REBOOT_KEY);
+    let from = machine.clock();
+    // Ten times what it takes from the reset to the first answer.
+    while machine.clock() < from + 3_000_000 {
+        machine.run_clocks(50);
+        assert_eq!(driven(machine), lines, "{}", machine.clock() - from);
+        let safe = board.safe_mask() ^ board.invert_mask();
+        assert_eq!(machine.outputs(), safe);
+    }
+    assert_ne!(machine.read(boot), before, "it has restarted");
+    let after: Vec<u64> = (0..axes).map(|axis| machine.edges(axis)).collect();
+    assert_eq!(edges, after);
+    assert_eq!(loaded(machine).verdict, Verdict::InForce);
 }
 
 /// Clocks until the gate is closed, at most 100.
