@@ -19,8 +19,9 @@ impl Board<Rig> {
         let rig = rig.unwrap_or_else(|error| panic!("{error}"));
         let mut board = Self::around(rig, 50);
         board.rate = HURRY;
-        // It is this computer's time that the host waits, and a Verilated board needs much of that.
-        board.patience = Duration::from_secs(60);
+        // It is this computer's time that the host waits, and a Verilated board needs much of that:
+        // 60 s were too few beside five other programs on two cores.
+        board.patience = Duration::from_secs(600);
         board
     }
 
