@@ -143,10 +143,7 @@ impl Board {
 
     /// One bit per output that is high while the board is not armed.
     pub fn safe_mask(&self) -> u64 {
-        // `gpio.sv` turns the safe level over with the rest.
-        self.mask(Class::Output, |channel| {
-            (channel.safe == Some(Level::High)) != channel.invert
-        })
+        self.mask(Class::Output, Channel::is_safe_high)
     }
 
     /// One bit per output that is the other way round.

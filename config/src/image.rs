@@ -70,7 +70,7 @@ pub fn lines(platform: &Platform) -> Vec<(String, &str)> {
 
 /// What an image is built with.
 pub fn built(platform: &Platform, counts: Counts) -> Result<Built, Error> {
-    let lines = lines(platform).len();
+    let lines = platform.lines().len();
     if lines > LINES_MAX || !lines.is_multiple_of(4) {
         return Err(Error::from(Report {
             file: platform.file.clone(),

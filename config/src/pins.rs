@@ -7,7 +7,7 @@
 use crate::blob;
 use crate::board::{Board, Channel, Class, ControlInput};
 use crate::error::{Error, Report};
-use crate::platform::{Level, OWN, Platform, SHARED};
+use crate::platform::Level;
 use crate::source::BUILT_IN;
 use wire::board::crc32;
 use wire::describe::FEATURE_JOBS;
@@ -16,6 +16,7 @@ use wire::pins::{
     LEVELS_AT, LINES_MAX, MAGIC, NONE, OUTPUTS_AT, VERSION, Verdict, platform_number,
 };
 use wire::regmap::IN_MAX;
+use wire::words_from_bytes;
 
 /// Bytes before the description.
 const HEAD: usize = HEAD_WORDS * 4;
@@ -78,11 +79,6 @@ impl Image {
         }
         Ok(())
     }
-}
-
-/// How many lines an image of this platform has.
-pub fn lines(platform: &Platform) -> usize {
-    (OWN * platform.headers.len() + SHARED).next_multiple_of(4)
 }
 
 /// The configuration for an image that was built so, with this generation. `text` is the file's.
@@ -190,12 +186,9 @@ impl<'b> Stored<'b> {
 }
 
 /// The words in front of these bytes.
-pub fn head(bytes: &[u8]) -> Option<Head> {
-    let (chunks, _) = bytes.get(..HEAD)?.as_chunks::<4>();
+fn head(bytes: &[u8]) -> Option<Head> {
     let mut words = [0; HEAD_WORDS];
-    for (word, chunk) in words.iter_mut().zip(chunks) {
-        *word = u32::from_be_bytes(*chunk);
-    }
+    words_from_bytes(bytes.get(..HEAD)?, &mut words).ok()?;
     Some(Head(words))
 }
 
@@ -219,7 +212,7 @@ fn wrong(
 /// Refuses a file with more channels than the image has, or for a card with other lines.
 fn enough(board: &Board, built: Built) -> Result<(), Error> {
     let platform = &board.platform;
-    let lines = lines(platform);
+    let lines = platform.lines().len();
     if lines != usize::from(built.lines) || lines > usize::from(LINES_MAX) {
         return Err(wrong(
             board,
@@ -338,8 +331,12 @@ impl<'b> Routes<'b> {
     }
 
     fn input(&mut self, pin: &str, sink: u8, inverted: bool) {
-        let route = self.at(pin) | if inverted { INVERT } else { 0 };
-        put(&mut self.words[INPUTS_AT..], sink, route);
+        self.listen(self.at(pin), sink, inverted);
+    }
+
+    fn listen(&mut self, line: u8, sink: u8, inverted: bool) {
+        let route = line | if inverted { INVERT } else { 0 };
+        put(&mut self.words[INPUTS_AT..LEVELS_AT], sink, route);
     }
 
     /// An input of which 1 acts.
@@ -387,13 +384,12 @@ impl<'b> Routes<'b> {
         Ok(found)
     }
 
-    /// The levels of the outputs, which `gpio.sv` turns over with their inversion.
+    /// The safe levels of the outputs, and which are inverted.
     fn levels(&mut self) {
         let words = &mut self.words[LEVELS_AT..];
         for (line, channel) in &self.outputs {
             let (word, bit) = (usize::from(line / 32), line % 32);
-            let safe = (channel.safe == Some(Level::High)) != channel.invert;
-            words[word] |= u32::from(safe) << bit;
+            words[word] |= u32::from(channel.is_safe_high()) << bit;
             words[2 + word] |= u32::from(channel.invert) << bit;
         }
     }
@@ -418,9 +414,7 @@ impl<'b> Routes<'b> {
             ));
         }
         for (n, (line, level)) in (0..).zip(stops) {
-            let inverted = if level == Level::Low { INVERT } else { 0 };
-            let sink = self.built.estop(n);
-            put(&mut self.words[INPUTS_AT..], sink, line | inverted);
+            self.listen(line, self.built.estop(n), level == Level::Low);
         }
         Ok(())
     }

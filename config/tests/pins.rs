@@ -1,7 +1,7 @@
 //! Board files as configurations of an image's pins.
 
 use ferrocnc_config::board::{Class, Platforms};
-use ferrocnc_config::pins::{Image, Stored, configuration, lines};
+use ferrocnc_config::pins::{Image, Stored, configuration};
 use ferrocnc_config::source::{BUILT_IN, Folder};
 use ferrocnc_config::{Board, Error, Level, Platform, read_board};
 use proptest::prelude::*;
@@ -221,7 +221,7 @@ fn lines_are_counted_in_the_order_of_the_headers_and_shared_ones_come_last() {
         let (file, text) = Folder::default().text(name).unwrap();
         let platform = Platform::read(&file, name, &text).unwrap();
         let headers = platform.headers.len();
-        let mut seen = vec![0; lines(&platform)];
+        let mut seen = vec![0; platform.lines().len()];
         for (header, _) in &platform.headers {
             for n in 0..16 {
                 let pin = format!("{header}:{n}");

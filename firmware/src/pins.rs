@@ -18,7 +18,7 @@ use embedded_hal::spi::SpiDevice;
 use wire::board::{HEADER_LEN, LIST};
 use wire::crc::Crc32;
 use wire::describe::{Channels, FEATURE_PINS};
-use wire::flash::Layout;
+use wire::flash::{Layout, is_newer};
 use wire::map::{self, BoardConfig, PwmType, StepType, StepgenConfig};
 use wire::pins::{
     Built, DRIVES_AT, GENERATION_AT, HEAD_WORDS, Head, INPUTS_AT, INVERT, Loaded, NONE, SOURCE,
@@ -214,7 +214,7 @@ fn newest<S: SpiDevice>(nor: &mut Nor<S>, layout: &Layout, head: &mut Head) -> O
         if whole(nor, layout, copy, head) {
             let generation = head.generation();
             newest = match newest {
-                Some((_, other)) if generation.wrapping_sub(other) as i32 <= 0 => newest,
+                Some((_, other)) if !is_newer(generation, other) => newest,
                 Some(_) | None => Some((copy, generation)),
             };
         }

@@ -20,7 +20,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::{Duration, Instant};
 use wire::board::crc32;
 use wire::describe::{self, FEATURE_PINS};
-use wire::flash::{Area, Layout, Origin, PAGE, SECTOR};
+use wire::flash::{Area, Layout, Origin, PAGE, SECTOR, is_newer};
 use wire::pins::{Built, GENERATION_AT, HEAD_WORDS, Head, Loaded, Verdict};
 use wire::regmap::{address, ident};
 use wire::{map, words_from_bytes};
@@ -207,7 +207,7 @@ pub struct Report {
 #[derive(Clone, Copy, Debug)]
 struct Whole {
     copy: u32,
-    head: Head,
+    generation: u32,
     bytes: u32,
 }
 
@@ -257,7 +257,7 @@ impl<'t> Copies<'t> {
         let [first, second] = &self.found;
         match (first, second) {
             (Some(a), Some(b)) => {
-                let newer = b.head.generation().wrapping_sub(a.head.generation()) as i32 > 0;
+                let newer = is_newer(b.generation, a.generation);
                 Some(if newer { b } else { a })
             }
             (first, second) => first.as_ref().or(second.as_ref()),
@@ -275,8 +275,7 @@ impl<'t> Copies<'t> {
 
     /// The generation that a new one has to have.
     pub fn next_generation(&self) -> u32 {
-        self.newest()
-            .map_or(1, |it| it.head.generation().wrapping_add(1))
+        self.newest().map_or(1, |it| it.generation.wrapping_add(1))
     }
 
     /// The bytes of the one in force.
@@ -432,6 +431,7 @@ fn at(socket: SocketAddrV4) -> Address {
 
 /// The copy, if it is whole by the board's own CRC.
 fn whole(flasher: &mut Flasher<'_>, area: Area, copy: u32) -> Result<Option<Whole>, FlashError> {
+    // What says of the head how long the whole is, is in its first page.
     let page = flasher.read(area.start, PAGE)?;
     let mut words = [0; HEAD_WORDS];
     let _ = words_from_bytes(&page, &mut words);
@@ -440,5 +440,9 @@ fn whole(flasher: &mut Flasher<'_>, area: Area, copy: u32) -> Result<Option<Whol
         return Ok(None);
     };
     let sum = flasher.crc(area.start + UNSUMMED, bytes - UNSUMMED)?;
-    Ok((sum == head.crc()).then_some(Whole { copy, head, bytes }))
+    Ok((sum == head.crc()).then_some(Whole {
+        copy,
+        generation: head.generation(),
+        bytes,
+    }))
 }

@@ -72,26 +72,14 @@ fn a_card_without_a_configuration_describes_no_channels_and_drives_nothing() {
 
 #[test]
 fn every_function_of_the_mill_is_at_its_pin() {
-    let (board, mut machine) = started("mill6");
-    let mut command = machine.enabled_command();
-    machine.rearm(&mut command);
-    step_generators_and_encoders(&board, &mut machine, &mut command);
-    pwms(&board, &mut machine, &mut command);
-    outputs(&board, &mut machine, &mut command);
-    inputs(&board, &mut machine, &mut command);
+    let (board, mut machine, mut command) = functions_of("mill6");
     stops(&board, &mut machine, &mut command);
 }
 
 #[test]
 fn every_function_of_two_files_of_lcnc_is_at_its_pin() {
     for name in ["75b_v8_14o11i6s6e6p", "75b_v8_26o23i6p"] {
-        let (board, mut machine) = started(name);
-        let mut command = machine.enabled_command();
-        machine.rearm(&mut command);
-        step_generators_and_encoders(&board, &mut machine, &mut command);
-        pwms(&board, &mut machine, &mut command);
-        outputs(&board, &mut machine, &mut command);
-        inputs(&board, &mut machine, &mut command);
+        functions_of(name);
     }
 }
 
@@ -182,6 +170,19 @@ fn started(name: &str) -> (Board, BenchMachine) {
         machine.write(map::CONFIG_PWM + n * map::CONFIG_STRIDE, PERIOD);
     }
     (board, machine)
+}
+
+/// A card with this configuration, armed, each of whose functions but the stops has been at its
+/// pin.
+fn functions_of(name: &str) -> (Board, BenchMachine, Command) {
+    let (board, mut machine) = started(name);
+    let mut command = machine.enabled_command();
+    machine.rearm(&mut command);
+    step_generators_and_encoders(&board, &mut machine, &mut command);
+    pwms(&board, &mut machine, &mut command);
+    outputs(&board, &mut machine, &mut command);
+    inputs(&board, &mut machine, &mut command);
+    (board, machine, command)
 }
 
 /// Each axis moves forth and back alone: its pulses are at its pins, its encoder counts them, and

@@ -35,6 +35,12 @@ pub const BLOCK: u32 = 0x1_0000;
 /// The largest part that can be programmed at once.
 pub const PAGE: u32 = 0x100;
 
+/// Is the copy with this number newer than the one with the other? Both were counted up modulo
+/// 2^32.
+pub const fn is_newer(number: u32, than: u32) -> bool {
+    number.wrapping_sub(than) as i32 > 0
+}
+
 codes! {
     /// An operation of the flash.
     Op: u32 {

@@ -21,6 +21,7 @@
 //! keeps the key.
 
 use crate::crc::crc32_words;
+use crate::flash::is_newer;
 use crate::{DEFAULT_PORT, DISCOVERY_PORT, Name};
 
 /// "FSET".
@@ -245,7 +246,7 @@ impl Settings {
 
     /// Is this copy newer than the other? It works across the wrap of the sequence.
     pub fn newer_than(&self, other: &Settings) -> bool {
-        self.sequence.wrapping_sub(other.sequence) as i32 > 0
+        is_newer(self.sequence, other.sequence)
     }
 }
 

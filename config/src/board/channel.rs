@@ -47,6 +47,11 @@ impl Channel {
         }
     }
 
+    /// The safe level of an output as the cores have it: `gpio.sv` turns it over with the rest.
+    pub fn is_safe_high(&self) -> bool {
+        (self.safe == Some(Level::High)) != self.invert
+    }
+
     /// The pin of a key.
     pub fn pin(&self, key: &str) -> Option<&str> {
         self.pins

@@ -3,6 +3,7 @@
 use super::Mind;
 use wire::board::crc32;
 use wire::describe::Channels;
+use wire::flash::is_newer;
 use wire::pins::{Built, HEAD_WORDS, Head, Loaded, Verdict};
 use wire::regmap::{address, ident};
 
@@ -38,9 +39,9 @@ impl Mind {
         let copies = [0, 1].map(|copy| self.copy(copy));
         let newest = { copies.iter().zip(0..) }
             .filter_map(|(found, n)| Some((found.as_ref()?.0, n)))
-            .reduce(|a, b| {
-                let newer = b.0.generation().wrapping_sub(a.0.generation()) as i32 > 0;
-                if newer { b } else { a }
+            .reduce(|a, b| match is_newer(b.0.generation(), a.0.generation()) {
+                true => b,
+                false => a,
             });
         let verdict = match &newest {
             _ if pins.factory => Verdict::FactoryPin,

@@ -1,11 +1,13 @@
 //! `ferrocnc discover`: lists every board on the segment, at any address.
 
 use crate::text::version;
-use anyhow::Result;
+use anyhow::{Result, bail};
 use clap::Args;
 use ferrocnc::address;
+use ferrocnc::client::Client;
 use ferrocnc::discovery::{DiscoveryError, Finder, Found, WAIT, filters};
 use ferrocnc::mdns;
+use ferrocnc::provision;
 use ferrocnc::uid::{mac_text, uid_text};
 use serde_json::{Value, json};
 use std::net::{Ipv4Addr, SocketAddrV4};
@@ -26,6 +28,18 @@ impl Where {
     /// At this address if there is one, else through this interface or all.
     pub(crate) fn named(interface: Option<String>, at: Option<String>) -> Self {
         Where { interface, at }
+    }
+
+    /// The board at this address, or the one with this unique id.
+    pub(crate) fn client(&self, board: Option<&str>, uid: Option<[u32; 2]>) -> Result<Client> {
+        match (board, uid) {
+            (Some(address), _) => crate::open(address),
+            (None, Some(uid)) => {
+                let (_, client) = provision::reach(&self.finder()?, uid)?;
+                Ok(client.with_keys(crate::keys()))
+            }
+            (None, None) => bail!("which board? Name its address or --uid"),
+        }
     }
 
     pub(crate) fn finder(&self) -> Result<Finder> {

@@ -1,7 +1,19 @@
 //! Shows progress: a bar on a terminal, otherwise one line per step.
 
+use ferrocnc::flash::Word;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
+
+/// That the board falls silent, or is back.
+pub(crate) fn said(word: Word) -> String {
+    match word {
+        Word::Silent(patience) => format!(
+            "the board does not answer; waiting up to {} s",
+            patience.as_secs()
+        ),
+        Word::Back => "the board answers again".to_owned(),
+    }
+}
 
 /// Shows the progress of a long operation.
 pub(crate) struct Bar {

@@ -2,15 +2,13 @@
 
 use crate::discover::Where;
 use crate::images;
-use crate::progress::Bar;
+use crate::progress::{Bar, said};
 use crate::set::parse_uid;
 use crate::text::{Told, tell};
 use anyhow::{Context, Result, bail};
 use clap::{ArgGroup, Args, ValueEnum};
 use ferrocnc::client::Client;
-use ferrocnc::flash::Word;
 use ferrocnc::image::Image;
-use ferrocnc::provision;
 use ferrocnc::update::{Event, Options, Report, back, update};
 use serde::Deserialize;
 use serde_json::json;
@@ -87,13 +85,7 @@ impl Update {
     }
 
     fn client(&self, board: Option<&str>) -> Result<Client> {
-        match (board, self.uid) {
-            (Some(address), _) => crate::open(address),
-            (None, Some(uid)) => Ok(provision::reach(&self.wherever.finder()?, uid)?
-                .1
-                .with_keys(crate::keys())),
-            (None, None) => bail!("which board? Name its address or --uid"),
-        }
+        self.wherever.client(board, self.uid)
     }
 }
 
@@ -218,11 +210,7 @@ impl Progress {
     fn of(event: Event) -> Self {
         let word = match event {
             Event::Step(step, part) => return Progress::Step(step, part),
-            Event::Word(Word::Silent(patience)) => format!(
-                "the board does not answer; waiting up to {} s",
-                patience.as_secs()
-            ),
-            Event::Word(Word::Back) => "the board answers again".to_owned(),
+            Event::Word(word) => said(word),
             Event::NoGolden => "warning: there is no golden image in this board's flash; if both slots fail the board needs JTAG".to_owned(),
             Event::Unprotected => {
                 "warning: the board's flash does not protect its golden image".to_owned()

@@ -4,15 +4,13 @@ use super::check::counts;
 use super::{save, stem};
 use crate::consent;
 use crate::discover::Where;
-use crate::progress::Bar;
+use crate::progress::{Bar, said};
 use crate::set::parse_uid;
 use crate::text::{Told, say, tell};
 use anyhow::{Result, anyhow, bail};
 use clap::{ArgGroup, Args};
 use ferrocnc::client::Client;
-use ferrocnc::flash::Word;
 use ferrocnc::pins::{Copies, Event, Facts, PinsError, Report, remedy};
-use ferrocnc::provision;
 use ferrocnc_config::pins::{Image, Stored, configuration};
 use ferrocnc_config::source::read_text;
 use ferrocnc_config::{Board, read_board_text};
@@ -81,21 +79,11 @@ impl Apply {
     }
 }
 
-fn client(board: Option<&str>, uid: Option<[u32; 2]>, wherever: &Where) -> Result<Client> {
-    match (board, uid) {
-        (Some(address), _) => crate::open(address),
-        (None, Some(uid)) => Ok(provision::reach(&wherever.finder()?, uid)?
-            .1
-            .with_keys(crate::keys())),
-        (None, None) => bail!("which board? Name its address or --uid"),
-    }
-}
-
 pub(super) fn apply(arguments: &Apply, as_json: bool) -> Result<()> {
     let (board, file) = arguments.named()?;
     let text = read_text(file)?;
     let wanted = read_board_text(file, &text)?;
-    let client = client(board, arguments.uid, &arguments.wherever)?;
+    let client = arguments.wherever.client(board, arguments.uid)?;
     let bar = RefCell::new(Bar::new(as_json));
     let show = |event| show(&bar, event);
     let patience = Duration::from_secs(arguments.patience);
@@ -162,11 +150,7 @@ fn show(bar: &RefCell<Bar>, event: Event) {
     let mut bar = bar.borrow_mut();
     match event {
         Event::Step(step, part) => bar.show(step, part),
-        Event::Word(Word::Silent(patience)) => bar.say(&format!(
-            "the board does not answer; waiting up to {} s",
-            patience.as_secs()
-        )),
-        Event::Word(Word::Back) => bar.say("the board answers again"),
+        Event::Word(word) => bar.say(&said(word)),
     }
 }
 
@@ -175,11 +159,8 @@ pub(super) fn read(arguments: &Read, as_json: bool) -> Result<()> {
         super::may_be_board(file)?;
         consent::may_write(file, arguments.force)?;
     }
-    let mut client = client(
-        arguments.board.as_deref(),
-        arguments.uid,
-        &arguments.wherever,
-    )?;
+    let board = arguments.board.as_deref();
+    let mut client = arguments.wherever.client(board, arguments.uid)?;
     let facts = Facts::read(&mut client)?;
     let bar = RefCell::new(Bar::new(as_json));
     let show = |event| show(&bar, event);
