@@ -426,15 +426,17 @@ struct Tests : Bus {
     // the step generators.
     void probe_and_index_latch() {
         for (unsigned round = 0; round < 4; round++) {
-            const unsigned input = r.below(ins - 1), low = r.below(2);
-            drive(low ? ~0u : 0);
+            unsigned input;
+            do input = r.below(ins); while (!(free_inputs >> input & 1) || input / 32 != (ins > 32 ? round % 2 : 0));
+            const unsigned low = r.below(2);
+            drive(low ? ~0ull : 0);
             write("gpio.probe", input | 1 << 8 | low << 9);
             run(40);
             const uint32_t chosen_e = r.next() & ((1u << encoders) - 1), chosen_s = r.next() & ((1u << steps) - 1);
             for (unsigned n = 0; n < steps; n++) write(nth("command.stepgen", n, "_velocity"), 0);
             arm(0, chosen_e, 0, chosen_s);
             flags(0, 0, 0, 0);
-            drive(low ? ~(1u << input) : 1u << input);
+            drive(low ? ~(1ull << input) : 1ull << input);
             run(40);
             sample();
             flags(0, chosen_e, 0, chosen_s);
