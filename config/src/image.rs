@@ -47,6 +47,25 @@ impl Counts {
         })
     }
 
+    /// Those of an image that is given out.
+    pub const OF_IMAGES: Counts = Counts {
+        stepgens: 8,
+        encoders: 8,
+        pwms: 8,
+    };
+
+    /// The name of an image with them.
+    fn name(self, platform: &Platform) -> String {
+        match self {
+            Self::OF_IMAGES => platform.name.clone(),
+            Counts {
+                stepgens,
+                encoders,
+                pwms,
+            } => format!("{}-{stepgens}-{encoders}-{pwms}", platform.name),
+        }
+    }
+
     /// Axes of a job, unless said otherwise: what there are step generators for.
     pub fn jobs(self) -> usize {
         match usize::from(self.stepgens) {
@@ -96,7 +115,7 @@ pub fn export_image(platform: &Platform, counts: Counts, jobs: usize) -> Result<
     let built = built(platform, counts)?;
     let board = described(platform, jobs);
     let mut out = export(&board)?;
-    out["name"] = json!(platform.name);
+    out["name"] = json!(counts.name(platform));
     out["lines"] = lines(platform)
         .into_iter()
         .map(|(name, ball)| json!({ "name": name, "ball": ball }))

@@ -6,7 +6,7 @@ import logging
 import sys
 from pathlib import Path
 
-from .board import BoardError, read_board, read_image
+from .board import IMAGE_CHANNELS, BoardError, BoardFile, PlatformImage, read_board, read_image
 from .tools import ToolError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,7 +23,7 @@ def main(argv=None):
     which = p.add_mutually_exclusive_group(required=True)
     which.add_argument("--board", help="boards/NAME.toml")
     which.add_argument("--platform", help="the image of boards/platforms/NAME.toml: its pins are configured on the board")
-    p.add_argument("--channels", default="8/8/8", help="of an image: step generators, encoders, PWM generators (default: 8/8/8)")
+    _channels(p)
     p.add_argument("--out", required=True)
     p.add_argument("--without-pins", action="store_true", help="board: even if it has no pins")
     _network(p)
@@ -38,7 +38,10 @@ def main(argv=None):
     p.add_argument("--out", default=str(ROOT / "pac" / "src" / "lib.rs"))
 
     p = sub.add_parser("bitstream", help="synthesise, place, route and pack boards; a missed clock is a failed build")
-    p.add_argument("--board", required=True, nargs="+", help="boards/NAME.toml, several side by side")
+    which = p.add_mutually_exclusive_group(required=True)
+    which.add_argument("--board", nargs="+", help="boards/NAME.toml, several side by side")
+    which.add_argument("--platform", nargs="+", help="the images of these platforms")
+    _channels(p)
     p.add_argument("--out", required=True, help="the folder for a folder per board")
     p.add_argument("--firmware", help="image to put into the ROM: an ELF file or a flat binary; without it nothing is packed")
     p.add_argument("--first-seed", type=int, default=1, help="nextpnr's first seed")
@@ -48,7 +51,7 @@ def main(argv=None):
     p.add_argument("--firmware-only", action="store_true", help="use the existing routed design, even if the gateware has changed")
     p.add_argument("--without-pins", action="store_true", help="build a board without pins, too, to measure it; it gets no images")
     p.add_argument("--json", help="write the report here")
-    p.add_argument("--document", help="write the table as Markdown here")
+    p.add_argument("--document", help="write the table into this Markdown file, between the marks of its kind")
     p.add_argument("--prove", action="store_true", help="unpack the built files and compare them with the firmware; pack again and compare")
     _network(p)
 
@@ -73,6 +76,10 @@ def main(argv=None):
     except (BoardError, ToolError) as e:
         print(f"error: {e}", file=sys.stderr)
         return 1
+
+
+def _channels(parser):
+    parser.add_argument("--channels", default=IMAGE_CHANNELS, help=f"of an image: step generators, encoders, PWM generators (default: {IMAGE_CHANNELS})")
 
 
 def _network(parser):
@@ -110,9 +117,20 @@ def _elaborate(args):
 def _board_or_image(args):
     if not args.platform:
         return read_board(args.board, **_network_of(args))
+    _no_network(args)
+    return read_image(args.platform, args.channels)
+
+
+def _no_network(args):
     if _network_of(args):
         raise BoardError("--platform", "", "an image has no address of its own to change; the board's settings have, or a board file")
-    return read_image(args.platform, args.channels)
+
+
+def _subjects(args):
+    if not args.platform:
+        return [BoardFile(path, _network_of(args)) for path in args.board]
+    _no_network(args)
+    return [PlatformImage(platform, args.channels) for platform in args.platform]
 
 
 def _gates(args):
@@ -142,9 +160,9 @@ def _pac(args):
 
 def _bitstream(args):
     from . import build
-    options = build.Options(
-        args.firmware, args.first_seed, args.seeds, args.jobs, args.slack, _network_of(args), args.firmware_only, args.without_pins, len(args.board))
-    return build.bitstreams([Path(board) for board in args.board], Path(args.out), options, args.json, args.document, args.prove)
+    subjects = _subjects(args)
+    options = build.Options(args.firmware, args.first_seed, args.seeds, args.jobs, args.slack, args.firmware_only, args.without_pins, len(subjects))
+    return build.bitstreams(subjects, Path(args.out), options, args.json, args.document, args.prove)
 
 
 def _bench(args):

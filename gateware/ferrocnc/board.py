@@ -128,10 +128,47 @@ def read_board(path, **network):
     return _board(_ask(shown, "export", str(shown), *instead))
 
 
+IMAGE_CHANNELS = "8/8/8"  # of an image, if nothing else is said
+
+
 def read_image(platform, channels):
     """The image of a platform, with so many channels ("8/8/8": step generators, encoders, PWM
     generators)."""
     return _board(_ask(platform, "export-platform", platform, "--channels", channels))
+
+
+class BoardFile:
+    """A board file as the subject of a build: `network` stands in for what it says."""
+
+    kind = "board files"
+
+    def __init__(self, path, network):
+        self.path, self.network = Path(path), network
+        self.name = self.path.stem
+
+    def read(self):
+        return read_board(self.path, **self.network)
+
+    def arguments(self):
+        """What `elaborate` is told."""
+        return ["--board", str(self.path), *(text for key, value in self.network.items() for text in (f"--{key}", value))]
+
+
+class PlatformImage:
+    """The image of a platform as the subject of a build."""
+
+    kind = "images"
+
+    def __init__(self, platform, channels):
+        self.platform, self.channels = platform, channels
+        self.name = self.read().name
+
+    def read(self):
+        return read_image(self.platform, self.channels)
+
+    def arguments(self):
+        """What `elaborate` is told."""
+        return ["--platform", self.platform, "--channels", self.channels]
 
 
 def _ask(what, *command):

@@ -101,12 +101,12 @@ def _device(board):
 # One board ----------------------------------------------------------------------------------------
 
 class Design:
-    """The build of one board, in `folder`; `folder / "work"` keeps the result of every stage, and
-    `record.json` its inputs."""
+    """The build of one board file or image, in `folder`; `folder / "work"` keeps the result of
+    every stage, and `record.json` its inputs."""
 
-    def __init__(self, path, root, options, watch, turn=0):
-        self.path, self.options, self.watch, self.turn = Path(path), options, watch, turn
-        self.name = self.path.stem
+    def __init__(self, subject, root, options, watch, turn=0):
+        self.subject, self.options, self.watch, self.turn = subject, options, watch, turn
+        self.name = subject.name
         self.folder, self.work = root / self.name, root / self.name / "work"
         self.record = {}
 
@@ -116,7 +116,7 @@ class Design:
         for old in (self.folder / f"{self.name}{end}" for end in image.FILES):
             old.unlink(missing_ok=True)  # a failed build leaves no bitstream, not even an older one
         self.work.mkdir(parents=True, exist_ok=True)
-        self.board = read_board(self.path, **self.options.network)
+        self.board = self.subject.read()
         self.pins = not pins_missing(self.board)
         if not self.pins and not self.options.without_pins:
             raise BoardError(self.board.file, pins_missing(self.board)[0],
@@ -218,9 +218,8 @@ class Design:
         # folder.
         fresh = self.work.with_name("fresh")
         shutil.rmtree(fresh, ignore_errors=True)
-        command = [sys.executable, "-m", "ferrocnc", "elaborate", "--target", "board", "--board", str(self.path), "--out", str(fresh)]
+        command = [sys.executable, "-m", "ferrocnc", "elaborate", "--target", "board", *self.subject.arguments(), "--out", str(fresh)]
         command += [] if self.pins else ["--without-pins"]
-        command += [text for key, value in self.options.network.items() for text in (f"--{key}", value)]
 
         def run():
             done = subprocess.run(command, env=dict(os.environ, PYTHONHASHSEED="0", PYTHONPATH=str(_GATEWARE)), capture_output=True, text=True, check=False)
@@ -413,23 +412,22 @@ class Watch:
 class Options:
     """The options of a build."""
 
-    def __init__(self, firmware=None, first_seed=1, seeds=6, jobs=None, slack=5.0, network=None, firmware_only=False, without_pins=False, boards=1):
+    def __init__(self, firmware=None, first_seed=1, seeds=6, jobs=None, slack=5.0, firmware_only=False, without_pins=False, boards=1):
         self.firmware, self.first_seed, self.seeds, self.slack = firmware, first_seed, seeds, slack
-        self.network, self.firmware_only, self.without_pins = network or {}, firmware_only, without_pins
+        self.firmware_only, self.without_pins = firmware_only, without_pins
         self.jobs = jobs or os.cpu_count() or 1
         # Cores that are not needed for a board try the next seeds.
         self.side_by_side = max(1, self.jobs // min(boards, self.jobs))
 
 
-def bitstreams(boards, root, options, report=None, document=None, prove=False):
-    """Builds images from board files. Returns the process's exit code: not 0 if one of them
-    failed."""
+def bitstreams(subjects, root, options, report=None, document=None, prove=False):
+    """Builds what is asked for. Returns the process's exit code: not 0 if one of them failed."""
     root = Path(root).resolve()
     root.mkdir(parents=True, exist_ok=True)
     watch, found, failed, proven = Watch(root, options.jobs), {}, {}, []
 
-    def one(path, turn):
-        design = Design(path, root, options, watch, turn)
+    def one(subject, turn):
+        design = Design(subject, root, options, watch, turn)
         try:
             found[design.name] = design.build()
             proven.extend(design.prove() if prove else ())
@@ -437,25 +435,26 @@ def bitstreams(boards, root, options, report=None, document=None, prove=False):
             failed[design.name] = str(e)
             print(f"{design.name}: failed", flush=True)
 
-    with ThreadPoolExecutor(len(boards)) as pool:
+    with ThreadPoolExecutor(len(subjects)) as pool:
         # In reverse: the largest board is listed last, and all others should not have to wait for
         # it.
-        waiting = [pool.submit(one, path, turn) for turn, path in enumerate(reversed(boards))]
+        waiting = [pool.submit(one, subject, turn) for turn, subject in enumerate(reversed(subjects))]
         while not all(future.done() for future in waiting):
             time.sleep(0.2)
             watch.tick()
         for future in waiting:
             future.result()
-    found = {name: found[name] for name in (Path(path).stem for path in boards) if name in found}
+    found = {name: found[name] for name in (subject.name for subject in subjects) if name in found}
     print("== summary")
     for text in (*map(_summary, found.values()), *(f"PASS {text}" for text in proven)):
         print(text)
     if report and found:
-        last = list(found.values())[-1] | ({"boards": list(found.values())} if len(boards) > 1 else {})
+        last = list(found.values())[-1] | ({"boards": list(found.values())} if len(subjects) > 1 else {})
         Path(report).parent.mkdir(parents=True, exist_ok=True)
         Path(report).write_text(json.dumps(last, indent=2) + "\n")
     if document and found:
-        Path(document).write_text(timing_document(found, failed), encoding="utf-8", newline="\n")
+        page = Path(document).read_text(encoding="utf-8")
+        Path(document).write_text(with_table(page, subjects[0].kind, timing_table(found, failed)), encoding="utf-8", newline="\n")
     for text in failed.values():
         print(f"error: {text}", file=sys.stderr)
     return 1 if failed else 0
@@ -484,27 +483,8 @@ def _summary(found):
     return "\n".join(lines)
 
 
-_TIMING_DOC = """<!-- Written by `cargo xtask bitstream --all`; do not edit. -->
-# Timing
-
-Lcnc's eight configurations, and the two machines that demo and tests run, placed and routed on an
-LFE5U-25F, speed grade -6, with the tools of `gateware/requirements.txt`: the lowest seed with at
-least {slack:g} % slack on every clock. A clock that misses its constraint fails the build. `eth` is the
-RGMII clock, 125 MHz; `sys` is the processor's and all cores'. COMB are the chip's LUT places, what
-the placer fills (24 288), EBR its block RAMs (56), DSP its multipliers (28). Minutes are those of
-yosys, of nextpnr and of our router (decision 11) for all seeds up to that one, on one core of the
-computer that wrote this page, beside its other work.
-
-`max`, 16 step generators, 16 encoders, 16 PWM, 64 + 64 I/O, is the largest board that can be
-simulated. It has no pins on a card. It is packed ([size](size.md)) but does not route since the
-gateware answers the exchange itself: too many wires around the processor stay shared
-([decision 30](decisions/0030-the-rom-in-two-parts.md)). The largest boards that route have 9 step
-generators, 9 encoders and 8 PWM.
-
-"""
-
-
-def timing_document(found, failed):
+def timing_table(found, failed):
+    """The clocks and sizes of what was built, as Markdown; below it what was not, and why."""
     head = ("configuration", "platform", "LUT4", "FF", "EBR", "DSP", "COMB", "eth, MHz", "slack", "sys, MHz", "slack", "seed", "minutes", "image, KB")
     lines = ["| " + " | ".join(head) + " |", "|---|---|" + "---:|" * (len(head) - 2)]
     for f in found.values():
@@ -516,7 +496,16 @@ def timing_document(found, failed):
         lines.append("| " + " | ".join(str(cell) for cell in cells) + " |")
     for text in failed.values():
         lines += ["", "**Not built.** " + text.replace("\n", "<br>")]
-    return _TIMING_DOC.format(slack=5) + "\n".join(lines) + "\n"
+    return "\n".join(lines) + "\n"
+
+
+def with_table(page, which, table):
+    """The page with this table between its marks `<!-- which -->` and `<!-- /which -->`."""
+    before, begin, rest = page.partition(f"<!-- {which} -->\n")
+    _, end, after = rest.partition(f"<!-- /{which} -->\n")
+    if not end:
+        raise BuildError(f"the document has no marks <!-- {which} --> and <!-- /{which} -->")
+    return before + begin + table + end + after
 
 
 # Firmware -----------------------------------------------------------------------------------------

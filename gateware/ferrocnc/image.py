@@ -220,7 +220,7 @@ def check_room(board, role, data, program=b""):
         return
     name = f"{board.name}{_ROLES[role]}.bit"
     problem = f"{name} has {len(data)} bytes; its place in the flash of {board.platform.name} has {most}, {missing} too few"
-    if program and missing <= len(program):
+    if program and missing <= len(program) and not board.lines:
         problem += f"; with sdram = false in the board file it is without the services, {len(program)} bytes, and fits"
         if board.jobs:
             problem += "; without jobs in the board file the services are shorter, and may fit"

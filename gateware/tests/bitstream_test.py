@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "gateware"))
 
 from ferrocnc import build, image, regmap as rm, soc, tools  # noqa: E402
-from ferrocnc.board import BoardError  # noqa: E402
+from ferrocnc.board import BoardError, BoardFile  # noqa: E402
 
 TESTS = []
 
@@ -30,7 +30,7 @@ def search(reached, seeds=4, at_once=2, slack=5.0, seconds=None):
     """The result of a search over seeds that reach these (eth, sys): the seed, or the error."""
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         options = build.Options(seeds=seeds, jobs=at_once, slack=slack)
-        design = build.Design("boards/x.toml", Path(folder), options, build.Watch(Path(folder), at_once))
+        design = build.Design(BoardFile("boards/x.toml", {}), Path(folder), options, build.Watch(Path(folder), at_once))
         design.work.mkdir(parents=True)
         design.record = {"seeds": {}}
 
@@ -50,6 +50,17 @@ def search(reached, seeds=4, at_once=2, slack=5.0, seconds=None):
             return design._search(), sorted(map(int, design.record["seeds"]))
         except build.BuildError as e:
             return str(e), None
+
+
+@test
+def a_table_takes_the_place_of_the_one_before_and_leaves_the_rest_of_the_page():
+    page = "# Timing\n<!-- images -->\n| old |\n<!-- /images -->\nmore\n"
+    assert build.with_table(page, "images", "| new |\n") == page.replace("old", "new")
+    try:
+        build.with_table(page, "board files", "| new |\n")
+        raise AssertionError("a page without marks is written")
+    except build.BuildError as e:
+        assert "board files" in str(e)
 
 
 @test
@@ -100,7 +111,7 @@ def too_little_slack_fails_and_less_can_be_asked_for():
 
 
 def board(size, name="x", jobs=0):
-    return SimpleNamespace(name=name, jobs=jobs, file="boards/x.toml", platform=SimpleNamespace(name="p", file="p.toml", flash={"bytes": size}))
+    return SimpleNamespace(name=name, jobs=jobs, lines=[], file="boards/x.toml", platform=SimpleNamespace(name="p", file="p.toml", flash={"bytes": size}))
 
 
 def body(length, seed=0):

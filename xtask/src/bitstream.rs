@@ -1,10 +1,11 @@
-//! Bitstreams: a board file in, `NAME.bit`, `NAME-golden.bit`, `NAME.svf` and `NAME.flash` out,
-//! below `target/bitstream`. `gateware/ferrocnc/build.py` knows the build steps. This module passes
-//! the options and prints the expected time.
+//! Bitstreams: a board file or a platform in, `NAME.bit`, `NAME-golden.bit`, `NAME.svf` and
+//! `NAME.flash` out, below `target/bitstream`. `gateware/ferrocnc/build.py` knows the build steps.
+//! This module passes the options and prints the expected time.
 
-use crate::{build, python, root, setup, step, target};
+use crate::{build, deb, python, root, setup, step, target};
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use wire::images::{Role, Trailer};
 
@@ -30,20 +31,40 @@ pub const SMALLEST: &str = "smallest";
 #[derive(Args)]
 pub struct Options {
     /// Board configuration, such as boards/mill6.toml.
-    #[arg(required_unless_present = "all", conflicts_with = "all")]
+    #[arg(required_unless_present_any = ["all", "platform"])]
     board: Option<PathBuf>,
-    /// Lcnc's eight configurations, mill6 and plotter; writes docs/timing.md.
-    #[arg(long)]
+    /// Lcnc's eight configurations, mill6 and plotter; writes their table in docs/timing.md.
+    #[arg(long, conflicts_with_all = ["board", "platform"])]
     all: bool,
+    /// The image of a card, such as 5a-75b-8.0: its pins are configured on the board.
+    #[arg(long, conflicts_with = "board")]
+    platform: Option<String>,
+    /// Of an image: step generators, encoders, PWM generators. 8/8/8 if not said.
+    #[arg(long, requires = "platform", conflicts_with_all = ["board", "all"])]
+    channels: Option<String>,
     /// Built-in IP address instead of the board file's.
-    #[arg(long, conflicts_with = "all")]
+    #[arg(long, requires = "board")]
     ip: Option<String>,
     /// Built-in UDP port instead of the board file's.
-    #[arg(long, conflicts_with = "all")]
+    #[arg(long, requires = "board")]
     port: Option<String>,
     /// Built-in MAC address instead of the board file's.
-    #[arg(long, conflicts_with = "all")]
+    #[arg(long, requires = "board")]
     mac: Option<String>,
+    #[command(flatten)]
+    search: Search,
+    /// A configuration that has no pins for all it names, such as boards/max.toml, too; it gets no
+    /// images.
+    #[arg(long)]
+    without_pins: bool,
+    /// Put new firmware into the existing routed design, even if the gateware has changed since.
+    #[arg(long)]
+    firmware_only: bool,
+}
+
+/// How long to look for a placement that meets every clock.
+#[derive(Args)]
+pub struct Search {
     /// How many placement seeds to try.
     #[arg(long, default_value_t = 6)]
     seeds: u32,
@@ -53,16 +74,96 @@ pub struct Options {
     /// Tools running at once, half a gigabyte each; one per core if not said.
     #[arg(long)]
     jobs: Option<u32>,
-    /// A configuration that has no pins for all it names, such as boards/max.toml, too; it gets no
-    /// images.
-    #[arg(long)]
-    without_pins: bool,
     /// Per cent of its frequency every clock must have to spare.
     #[arg(long, default_value_t = 5.0)]
     slack: f32,
-    /// Put new firmware into the existing routed design, even if the gateware has changed since.
-    #[arg(long)]
-    firmware_only: bool,
+}
+
+impl Search {
+    fn arguments(&self) -> Vec<String> {
+        let values = [
+            ("--seeds", Some(self.seeds.to_string())),
+            ("--first-seed", Some(self.first_seed.to_string())),
+            ("--jobs", self.jobs.map(|jobs| jobs.to_string())),
+            ("--slack", Some(self.slack.to_string())),
+        ];
+        said(values)
+    }
+}
+
+/// What is built.
+enum Subjects {
+    BoardFiles(Vec<PathBuf>),
+    /// Platforms, and the channels if they are not the usual ones.
+    Images(Vec<String>, Option<String>),
+}
+
+impl Subjects {
+    /// The folders below `target/bitstream`.
+    fn names(&self) -> Result<Vec<String>> {
+        match self {
+            Subjects::BoardFiles(files) => {
+                let name = |file: &PathBuf| {
+                    let stem = file.file_stem().context("the board needs a file name")?;
+                    Ok(stem.to_string_lossy().into_owned())
+                };
+                files.iter().map(name).collect()
+            }
+            // As `config::image` names them.
+            Subjects::Images(platforms, channels) => {
+                let more = match channels.as_deref() {
+                    None | Some(build::IMAGE_CHANNELS) => String::new(),
+                    Some(channels) => format!("-{}", channels.replace('/', "-")),
+                };
+                Ok(platforms
+                    .iter()
+                    .map(|name| format!("{name}{more}"))
+                    .collect())
+            }
+        }
+    }
+
+    fn arguments(&self) -> Vec<OsString> {
+        match self {
+            Subjects::BoardFiles(files) => {
+                let files = files.iter().map(OsString::from);
+                std::iter::once("--board".into()).chain(files).collect()
+            }
+            Subjects::Images(platforms, channels) => {
+                let channels = channels.iter().flat_map(|it| ["--channels", it.as_str()]);
+                let platforms =
+                    std::iter::once("--platform").chain(platforms.iter().map(String::as_str));
+                channels.chain(platforms).map(OsString::from).collect()
+            }
+        }
+    }
+}
+
+/// Builds the image of every card that can have one, and says their SHA-256 sums.
+pub fn images_of_all_cards(search: &Search) -> Result<()> {
+    setup::run(setup::Need::Gateware)?;
+    setup::riscv_core()?;
+    step::heading("images");
+    let mut more = search.arguments();
+    more.extend(document());
+    let images = Subjects::Images(build::IMAGES.map(str::to_owned).to_vec(), None);
+    println!("{}", summary(&build_images(&images, &more)?));
+    for name in images.names()? {
+        print!("{}", deb::sums_of_image(&folder(&name), &name)?);
+    }
+    println!("\n  files are below {}", target("bitstream").display());
+    Ok(())
+}
+
+fn document() -> [String; 2] {
+    let document = root().join("docs/timing.md");
+    ["--document".to_owned(), document.display().to_string()]
+}
+
+/// Options that have a value.
+fn said<const N: usize>(values: [(&str, Option<String>); N]) -> Vec<String> {
+    let one = |(name, value): (&str, Option<String>)| Some([name.to_owned(), value?]);
+    values.into_iter().filter_map(one).flatten().collect()
 }
 
 /// Builds one or all.
@@ -70,23 +171,21 @@ pub fn run(options: &Options) -> Result<()> {
     setup::run(setup::Need::Gateware)?;
     setup::riscv_core()?;
     step::heading("bitstream");
-    let boards: Vec<PathBuf> = match &options.board {
-        Some(board) => vec![board.clone()],
-        None => ALL.iter().map(|name| build::board_file(name)).collect(),
+    let subjects = match (&options.board, &options.platform) {
+        (Some(board), _) => Subjects::BoardFiles(vec![board.clone()]),
+        (None, Some(platform)) => {
+            Subjects::Images(vec![platform.clone()], options.channels.clone())
+        }
+        (None, None) => {
+            Subjects::BoardFiles(ALL.iter().map(|name| build::board_file(name)).collect())
+        }
     };
-    let mut more: Vec<String> = Vec::new();
-    let values = [
+    let mut more = said([
         ("--ip", options.ip.clone()),
         ("--port", options.port.clone()),
         ("--mac", options.mac.clone()),
-        ("--seeds", Some(options.seeds.to_string())),
-        ("--first-seed", Some(options.first_seed.to_string())),
-        ("--jobs", options.jobs.map(|jobs| jobs.to_string())),
-        ("--slack", Some(options.slack.to_string())),
-    ];
-    for (name, value) in values {
-        more.extend(value.into_iter().flat_map(|value| [name.to_owned(), value]));
-    }
+    ]);
+    more.extend(options.search.arguments());
     if options.firmware_only {
         more.push("--firmware-only".to_owned());
     }
@@ -94,11 +193,9 @@ pub fn run(options: &Options) -> Result<()> {
         more.push("--without-pins".to_owned());
     }
     if options.all {
-        let document = root().join("docs/timing.md");
-        more.push("--document".to_owned());
-        more.push(document.display().to_string());
+        more.extend(document());
     }
-    let printed = images(&boards, &more)?;
+    let printed = build_images(&subjects, &more)?;
     println!("{}", summary(&printed));
     println!("\n  files are below {}", target("bitstream").display());
     Ok(())
@@ -109,7 +206,7 @@ pub fn run(options: &Options) -> Result<()> {
 /// core.
 pub fn prove() -> Result<Vec<String>> {
     let more = ["--prove", "--jobs", "1"].map(str::to_owned);
-    let printed = images(&[build::board_file(SMALLEST)], &more)?;
+    let printed = build_images(&the_smallest(), &more)?;
     let proven: Vec<String> = printed
         .lines()
         .filter_map(|line| line.strip_prefix("PASS "))
@@ -123,7 +220,11 @@ pub fn prove() -> Result<Vec<String>> {
 
 /// Builds the smallest configuration.
 pub fn smallest() -> Result<()> {
-    images(&[build::board_file(SMALLEST)], &[]).map(drop)
+    build_images(&the_smallest(), &[]).map(drop)
+}
+
+fn the_smallest() -> Subjects {
+    Subjects::BoardFiles(vec![build::board_file(SMALLEST)])
 }
 
 /// Where a board's files go.
@@ -131,18 +232,14 @@ pub fn folder(name: &str) -> PathBuf {
     target("bitstream").join(name)
 }
 
-fn images(boards: &[PathBuf], more: &[String]) -> Result<String> {
-    let mut names = Vec::new();
-    for board in boards {
-        let name = board.file_stem().context("the board needs a file name")?;
-        names.push(name.to_string_lossy().into_owned());
-    }
+fn build_images(subjects: &Subjects, more: &[String]) -> Result<String> {
+    let names = subjects.names()?;
     let image = build::firmware()?;
     let router = build::router()?;
     std::fs::create_dir_all(target("reports"))?;
     let mut build = python::gateware("bitstream");
     build.env("FERROCNC_ROUTER", router);
-    build.arg("--board").args(boards);
+    build.args(subjects.arguments());
     build.arg("--out").arg(target("bitstream"));
     build.arg("--firmware").arg(&image);
     build
@@ -217,6 +314,31 @@ fn summary(printed: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_image_has_the_name_of_its_card_and_of_channels_that_are_not_the_usual_ones() {
+        let name = |channels: Option<&str>| {
+            let of = Subjects::Images(vec!["5a-75b-8.0".to_owned()], channels.map(str::to_owned));
+            of.names().unwrap().remove(0)
+        };
+        assert_eq!(name(None), "5a-75b-8.0");
+        assert_eq!(name(Some("8/8/8")), "5a-75b-8.0");
+        // `gateware/tests/board_test.py` has the same of the build.
+        assert_eq!(name(Some("4/2/0")), "5a-75b-8.0-4-2-0");
+    }
+
+    #[test]
+    fn every_platform_has_an_image_or_too_many_lines() {
+        let platforms = crate::tree::with_ending(&root().join("boards/platforms"), "toml").unwrap();
+        for file in platforms {
+            let name = file.file_stem().unwrap().to_str().unwrap();
+            assert_eq!(
+                build::IMAGES.contains(&name),
+                !name.starts_with("5a-75e"),
+                "{name}"
+            );
+        }
+    }
 
     #[test]
     fn the_elf_beside_an_image_ends_with_the_build_id_of_its_header() {

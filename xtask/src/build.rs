@@ -93,14 +93,23 @@ pub fn simulated_board(board: &str) -> Result<PathBuf> {
     elaborate_and_verilate(board, &board_reader()?)
 }
 
-/// The platform and the channels of the image that the tests configure.
-pub const IMAGE: (&str, &str) = ("5a-75b-8.0", "8/8/8");
+/// The cards that have an image. Those of the 5A-75E have none: 104 lines are more than the
+/// multiplexer has (decision 32).
+pub const IMAGES: [&str; 4] = ["5a-75b-6.1", "5a-75b-7.0", "5a-75b-8.0", "5a-75b-8.2"];
+
+/// The platform of the image that the tests configure.
+pub const IMAGE: &str = "5a-75b-8.0";
+
+/// The channels of an image if nothing else is said: step generators, encoders, PWM generators.
+pub const IMAGE_CHANNELS: &str = "8/8/8";
 
 /// Elaborates the image of [`IMAGE`] for simulation and verilates it.
 pub fn simulated_image() -> Result<PathBuf> {
-    let (platform, channels) = IMAGE;
-    let what = ["--platform", platform, "--channels", channels].map(Into::into);
-    verilate(platform, &what, &board_reader()?)
+    verilate(
+        IMAGE,
+        &["--platform".into(), IMAGE.into()],
+        &board_reader()?,
+    )
 }
 
 fn elaborate_and_verilate(board: &str, reader: &Path) -> Result<PathBuf> {

@@ -13,7 +13,7 @@ mod manual;
 mod samples;
 mod twin;
 
-pub use images::sums;
+pub use images::{sums, sums_of_image};
 
 use crate::{root, setup, step, target};
 use anyhow::{Context, Result, bail};

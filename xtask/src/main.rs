@@ -53,9 +53,11 @@ enum Task {
         #[arg(long)]
         check: bool,
     },
-    /// Build the bitstreams of a board configuration, or of all. A clock that misses its constraint
-    /// fails.
+    /// Build the bitstreams of a board configuration, of all, or of a card. A clock that misses its
+    /// constraint fails.
     Bitstream(bitstream::Options),
+    /// Build the image of every card that can have one, and say their SHA-256 sums.
+    Images(bitstream::Search),
     /// Simulate what nextpnr made of the smallest board beside its RTL: the same pins in every
     /// clock.
     Netlist(netlist::Options),
@@ -93,6 +95,7 @@ fn main() -> std::process::ExitCode {
         Task::Test(options) => test::run(&options),
         Task::Regen { check } => regen::run(check),
         Task::Bitstream(options) => bitstream::run(&options),
+        Task::Images(search) => bitstream::images_of_all_cards(&search),
         Task::Netlist(options) => netlist::run(&options),
         Task::Deb(options) => deb::run(&options),
         Task::Release(options) => release::run(&options),
