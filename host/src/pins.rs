@@ -8,6 +8,7 @@
 //!   4  write every page but the first, and sum them up
 //!   5  write the first page, and sum up the whole             now it counts, from the next start on
 //!   6  restart the board, and ask which copy is in force
+//!   7  write the same over the copy before                    a worn page brings no old file back
 //! ```
 //!
 //! At every moment one whole copy is there, the old or the new one. After an interruption the same
@@ -69,6 +70,8 @@ pub enum PinsError {
     },
     /// It is back and does not use what was written.
     Unused(Loaded),
+    /// It is in force, and the copy before could not be written over.
+    Second(Box<PinsError>),
 }
 
 impl core::fmt::Display for PinsError {
@@ -112,6 +115,10 @@ impl core::fmt::Display for PinsError {
                 f,
                 "the configuration is written, and the board does not use it: {}; {}",
                 loaded.verdict, remedy(loaded.verdict)
+            ),
+            PinsError::Second(why) => write!(
+                f,
+                "the configuration is in force, but its second copy is not written: {why}. Give the command again"
             ),
         }
     }
@@ -310,6 +317,10 @@ impl<'t> Copies<'t> {
         if loaded != wanted {
             return Err(PinsError::Unused(loaded));
         }
+        let before = self.layout.pins_copy(1 - copy);
+        self.follow(moved)
+            .and_then(|()| self.replace(before, bytes))
+            .map_err(|why| PinsError::Second(Box::new(why)))?;
         Ok(Report {
             copy,
             generation,
@@ -317,6 +328,16 @@ impl<'t> Copies<'t> {
             restarted_in,
             moved,
         })
+    }
+
+    /// Goes on where the board is after its restart, if it may still be written to.
+    fn follow(&mut self, moved: Option<SocketAddrV4>) -> Result<(), PinsError> {
+        if let Some(socket) = moved {
+            let tell = self.tell;
+            let client = Client::open(&at(socket))?;
+            self.flasher = Flasher::new(client, self.patience, |word| tell(Event::Word(word)));
+        }
+        Ok(self.flasher.may_write()?)
     }
 
     fn step(&self, what: &'static str, done: usize, of: usize) {
