@@ -53,6 +53,8 @@ pub enum ClientError {
         /// The number the gateware was built from.
         gateware: u32,
     },
+    /// Its board file is none for its image.
+    Pins(Address),
     /// Another host drives it.
     Owned {
         /// Which board.
@@ -98,6 +100,10 @@ impl core::fmt::Display for ClientError {
             } => write!(
                 f,
                 "{address}: the firmware was built for register map {firmware:#010x}, the gateware is {gateware:#010x}; flash a matching pair"
+            ),
+            ClientError::Pins(address) => write!(
+                f,
+                "{address}: the board file on this board is none for its image, so it would not arm (ferrocnc describe {address} says why); give it one that is: ferrocnc config apply {address} FILE.toml"
             ),
             ClientError::Owned { address, owner } => write!(
                 f,
@@ -374,6 +380,9 @@ impl Client {
                 firmware: describe.abi_firmware,
                 gateware: describe.abi_gateware,
             });
+        }
+        if describe.obstacles & describe::OBSTACLE_PINS != 0 {
+            return Err(ClientError::Pins(self.address.clone()));
         }
         Ok(())
     }

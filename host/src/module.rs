@@ -138,9 +138,10 @@ impl LoadError {
             LoadError::Client(error) => match error {
                 ClientError::Silent { .. } => -libc::ETIMEDOUT,
                 ClientError::Socket(_, error) => -error.raw_os_error().unwrap_or(libc::EIO),
-                ClientError::Describe(..) | ClientError::Blob(..) | ClientError::Abi { .. } => {
-                    -libc::EPROTO
-                }
+                ClientError::Describe(..)
+                | ClientError::Blob(..)
+                | ClientError::Abi { .. }
+                | ClientError::Pins(_) => -libc::EPROTO,
                 ClientError::Owned { .. } | ClientError::NoSession(_) => -libc::EBUSY,
                 ClientError::Key(..) => -libc::EACCES,
             },

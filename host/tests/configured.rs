@@ -8,6 +8,7 @@ mod tool;
 
 use common::FakeBoard;
 use common::rig::{LOCKSTEP, Rig, load_with};
+use ferrocnc::client::Client;
 use ferrocnc::hal::fake::FakeHal;
 use ferrocnc::names::{self, Scheme};
 use ferrocnc_config::Board;
@@ -186,4 +187,22 @@ fn the_tool_shows_what_the_board_file_has_and_what_became_of_it() {
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert_eq!(json["pins"], Verdict::FactoryPin.text());
     assert_eq!(json["input"].as_array().unwrap().len(), 0);
+}
+
+#[test]
+fn a_board_whose_file_is_none_for_its_image_is_refused_when_the_driver_is_loaded() {
+    let board = board(MILL6);
+    board.look().pins.as_mut().unwrap().built.stepgens = 4;
+    board.look().power_cycle();
+    let address = ferrocnc::address::parse(&board.text(), wire::DEFAULT_PORT).unwrap();
+    let mut client = Client::open(&address).unwrap();
+    let identity = client.identify().unwrap();
+    let why = client.check(&identity).unwrap_err().to_string();
+    assert!(why.contains("ferrocnc config apply"), "{why}");
+    let report = std::env::temp_dir().join(format!("configured-{}.json", std::process::id()));
+    let report = report.to_str().unwrap();
+    complaint(&["doctor", &board.text(), "--report", report]);
+    let said = std::fs::read_to_string(report).unwrap();
+    std::fs::remove_file(report).unwrap();
+    assert!(said.contains("does not arm"), "{said}");
 }

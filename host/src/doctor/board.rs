@@ -7,8 +7,10 @@ use crate::client::Client;
 use crate::finding::Finding;
 use crate::flash::Overview;
 use crate::keys::Keys;
+use crate::pins::{Facts, remedy};
 use crate::selftest::{board, gather, ways};
 use wire::flash::{Origin, Running, Slot};
+use wire::pins::Verdict;
 use wire::{FaultReason, Refusal, map};
 
 /// Asks it. Takes no session and changes nothing.
@@ -32,6 +34,9 @@ pub fn examine(system: &System<'_>, client: &mut Client, keys: &Keys) -> Vec<Fin
     )];
     if let Ok(facts) = gather::board(client, *describe) {
         findings.extend(board::judge(&facts));
+    }
+    if let Ok(facts) = Facts::read(client) {
+        findings.push(board_file(facts.loaded.verdict));
     }
     findings.push(stop(describe.state.reason));
     if let Ok(overview) = Overview::read(client) {
@@ -185,6 +190,24 @@ fn stop(reason: FaultReason) -> Finding {
     }
 }
 
+/// Of a board whose pins are configured.
+fn board_file(verdict: Verdict) -> Finding {
+    let check = "board file on the board";
+    let effect = "the board drives nothing";
+    match verdict {
+        Verdict::InForce => Finding::good(check, verdict.text()),
+        Verdict::Missing | Verdict::FactoryPin => {
+            Finding::note(check, verdict.text(), effect, remedy(verdict))
+        }
+        _ => Finding::bad(
+            check,
+            verdict.text(),
+            "the board drives nothing and does not arm",
+            remedy(verdict),
+        ),
+    }
+}
+
 fn release(word: u32, tool: &str) -> Finding {
     let check = "release";
     let board = format!("{}.{}.{}", word >> 16, word >> 8 & 0xff, word & 0xff);
@@ -263,6 +286,15 @@ mod tests {
         assert_eq!(key(false, false).verdict, Good);
         assert_eq!(key(true, true).verdict, Good);
         assert_eq!(key(true, false).verdict, Bad);
+    }
+
+    #[test]
+    fn a_board_file_that_is_not_in_force_is_told_with_its_remedy() {
+        assert_eq!(board_file(super::Verdict::InForce).verdict, Good);
+        assert_eq!(board_file(super::Verdict::Missing).verdict, Note);
+        let other = board_file(super::Verdict::Counts);
+        assert_eq!(other.verdict, Bad);
+        assert!(other.remedy.contains("config apply"), "{other:?}");
     }
 
     #[test]

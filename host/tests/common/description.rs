@@ -85,7 +85,7 @@ impl Mind {
             blob_words: self.blob().len() as u32 / 4,
             state: self.state_word(false),
             obstacles: if abi_gateware == ABI {
-                0
+                self.obstacle_of_pins()
             } else {
                 describe::OBSTACLE_ABI
             },

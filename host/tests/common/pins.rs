@@ -33,6 +33,15 @@ impl Mind {
         self.load_pins();
     }
 
+    /// As the firmware says it: `firmware::pins::usable`.
+    pub(super) fn obstacle_of_pins(&self) -> u32 {
+        use Verdict::{FactoryPin, Fixed, InForce, Missing};
+        match self.flash.pins.map_or(Fixed, |loaded| loaded.verdict) {
+            InForce | Missing | FactoryPin | Fixed => 0,
+            _ => wire::describe::OBSTACLE_PINS,
+        }
+    }
+
     /// As the firmware does it at the start.
     pub(super) fn load_pins(&mut self) {
         let Some(pins) = self.pins else { return };
