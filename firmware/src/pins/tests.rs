@@ -662,7 +662,7 @@ fn any_head() -> impl Strategy<Value = Head> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(400))]
+    #![proptest_config(ProptestConfig::with_cases(1600))]
 
     #[test]
     fn a_board_drives_what_a_legal_configuration_says_and_nothing_with_an_illegal_one(
