@@ -164,21 +164,20 @@ module stepgen #(
     end
 
     // ---- timing: when a pulse may start and end, and the direction may change -------------------
-    // Two clocks count up from the last event; a time is over in the clock in which they are equal.
-    // In the first clock after the event, times of 0 and 1 are equivalent.
+    // Two clocks count up from the last event; a time is over from the clock on in which they are
+    // equal. A flip-flop says so, computed a clock ahead, because the longest path begins there: from
+    // a pulse that waits through path time to the ramps of all axes. A time of 0 is one of 1.
     logic        pulse      = 1'b0;
     logic        setup      = 1'b0;   // dir_clock counts dirsetup (else dirhold)
     logic [12:0] step_clock = 13'd1;  // since the pulse rose or fell
     logic [15:0] dir_clock  = 16'd1;  // since the pulse fell or the direction changed
-    logic        step_first = 1'b0;
-    logic        dir_first  = 1'b0;
-    logic        step_over  = 1'b1;
-    logic        dir_over   = 1'b1;
+    logic        step_done  = 1'b1;
+    logic        dir_done   = 1'b1;
 
     wire [12:0] step_time = pulse ? steplen : stepspace;
     wire [15:0] dir_time  = setup ? dirsetup : dirhold;
-    wire step_done = step_over | ((step_clock[12:1] == step_time[12:1]) & ((step_clock[0] == step_time[0]) | step_first));
-    wire dir_done  = dir_over | ((dir_clock[15:1] == dir_time[15:1]) & ((dir_clock[0] == dir_time[0]) | dir_first));
+    wire [12:0] step_next = step_clock + 13'd1;
+    wire [15:0] dir_next  = dir_clock + 16'd1;
 
     // A closed gate cuts a pulse; in quadrature there is no pulse to cut, and the next edge keeps
     // its distance.
@@ -190,12 +189,10 @@ module stepgen #(
     assign ready = ~pulse & step_done & (reverse == negative) & ~(setup & ~dir_done);
 
     always_ff @(posedge clk) begin
-        step_clock <= (emit | fall) ? 13'd1 : step_clock + 13'd1;
-        step_first <= emit | fall;
-        step_over  <= step_done & ~(emit | fall);
-        dir_clock  <= (turn | fall) ? 16'd1 : dir_clock + 16'd1;
-        dir_first  <= turn | fall;
-        dir_over   <= dir_done & ~(turn | fall);
+        step_clock <= (emit | fall) ? 13'd1 : step_next;
+        step_done  <= emit ? steplen[12:1] == 12'd0 : fall ? stepspace[12:1] == 12'd0 : step_done | (step_next == step_time);
+        dir_clock  <= (turn | fall) ? 16'd1 : dir_next;
+        dir_done   <= turn ? dirsetup[15:1] == 15'd0 : fall ? dirhold[15:1] == 15'd0 : dir_done | (dir_next == dir_time);
         if (turn) setup <= 1'b1;
         else if (fall) setup <= 1'b0;
     end
@@ -394,19 +391,21 @@ module stepgen #(
         if (known) assert (was_active == (high != 18'd0) & was_active == (low == 18'd0));
         assert (~known | was_open | quadrature | ~pulse);
         assert (down == (~up & ~fresh));
-        assert (step_first == (step_clock == 13'd1 & ~step_over) & dir_first == (dir_clock == 16'd1 & ~dir_over));
-        assert (step_over | step_clock != 13'd0 & {5'd0, step_clock} <= (pulse ? high_least : low_least));
-        assert (dir_over | dir_clock != 16'd0 & {2'd0, dir_clock} <= (setup ? setup_least : hold_least));
-        assert (~pulse | ~step_over & {5'd0, step_clock} == high + 18'd1 & (~setup | dir_over));
-        if (~pulse & ~step_over) assert ({5'd0, step_clock} == low + 18'd1);
-        if (~pulse & step_over) assert (low >= low_least);
-        if (~pulse & ~setup & ~dir_over) assert ({2'd0, dir_clock} == low + 18'd1);
-        if (~pulse & (setup | dir_over)) assert (low >= hold_least);
-        if (setup & ~dir_over) assert ({2'd0, dir_clock} == since_dir_now + 18'd1);
-        if (~setup | dir_over) assert (since_dir_now >= setup_least);
-        assert (edge_seen == (pulse & step_first));
+        assert (step_done | step_clock != 13'd0 & {5'd0, step_clock} < (pulse ? high_least : low_least));
+        assert (dir_done | dir_clock != 16'd0 & {2'd0, dir_clock} < (setup ? setup_least : hold_least));
+        assert (~pulse | {5'd0, step_clock} == high + 18'd1 & step_done == ({5'd0, step_clock} == high_least) & (~setup | dir_done));
+        if (~pulse & ~step_done) assert ({5'd0, step_clock} == low + 18'd1);
+        if (~pulse & step_done) assert (more(low) >= low_least);
+        if (~pulse & ~setup & ~dir_done) assert ({2'd0, dir_clock} == low + 18'd1);
+        if (~pulse & ~setup & dir_done) assert (more(low) >= hold_least);
+        if (~pulse & setup) assert (low >= hold_least);
+        if (setup & ~dir_done) assert ({2'd0, dir_clock} == since_dir_now + 18'd1);
+        if (setup & dir_done) assert (more(since_dir_now) >= setup_least);
+        if (~setup) assert (since_dir_now >= setup_least);
+        assert (edge_seen == (pulse & step_clock == 13'd1));
         if (pulse | ~setup) assert (last_backwards == reverse);
-        if (~pulse & last_backwards != reverse) assert (low >= hold_least + (dir_over ? setup_least : {2'd0, dir_clock} - 18'd1));
+        if (~pulse & last_backwards != reverse & ~dir_done) assert (low >= hold_least + {2'd0, dir_clock} - 18'd1);
+        if (~pulse & last_backwards != reverse & dir_done) assert (more(low) >= hold_least + setup_least);
         if (quadrature & pulse) assert (high == since_edge_now);
         if (quadrature & ~pulse) assert (since_edge_now >= high_least & (&since_edge_now | since_edge_now - high_least >= low));
         assert (unvisited != 5'd0 & unvisited <= 5'd16);

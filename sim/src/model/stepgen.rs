@@ -55,45 +55,44 @@ impl Default for Stepgen {
     }
 }
 
-/// Counts up from an event; a time is over from the clock on in which they are equal. Times of 0
-/// and 1 are over at once.
+/// Counts up from an event; a time is over from the clock on in which they are equal, as found a
+/// clock ahead. Times of 0 and 1 are over at once.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Timer<const MASK: u32> {
     clock: u32,
-    first: bool,
-    over: bool,
+    done: bool,
 }
 
 impl<const MASK: u32> Timer<MASK> {
     const OVER: Self = Timer {
         clock: 1,
-        first: false,
-        over: true,
+        done: true,
     };
 
-    fn done(&self, time: u32) -> bool {
-        let differ = self.clock ^ time;
-        self.over || differ == 0 || (self.first && differ == 1)
-    }
-
-    fn clock(&mut self, event: bool, done: bool) {
-        self.clock = if event { 1 } else { (self.clock + 1) & MASK };
-        self.first = event;
-        self.over = done && !event;
+    /// `event`: what begins now takes so long. Without one the present `time` goes on.
+    fn clock(&mut self, event: Option<u32>, time: u32) {
+        match event {
+            Some(time) => {
+                *self = Timer {
+                    clock: 1,
+                    done: time < 2,
+                }
+            }
+            None => self.skip(1, time),
+        }
     }
 
     /// Clocks until it is done.
     fn left(&self, time: u32) -> u64 {
-        if self.done(time) {
+        if self.done {
             0
         } else {
-            (time.wrapping_sub(self.clock) & MASK).into()
+            u64::from(time.wrapping_sub(self.clock + 1) & MASK) + 1
         }
     }
 
     fn skip(&mut self, clocks: u64, time: u32) {
-        self.over = self.left(time) < clocks;
-        self.first = false;
+        self.done = self.left(time) <= clocks;
         self.clock = (u64::from(self.clock).wrapping_add(clocks) & u64::from(MASK)) as u32;
     }
 }
@@ -194,14 +193,6 @@ impl Stepgen {
         }
     }
 
-    fn step_done(&self, set: &Settings) -> bool {
-        self.step.done(self.step_time(set))
-    }
-
-    fn dir_done(&self, set: &Settings) -> bool {
-        self.direction.done(self.dir_time(set))
-    }
-
     fn sum(&self) -> i64 {
         i64::from(self.fraction) + (self.v >> VELOCITY_FRACTION)
     }
@@ -211,16 +202,16 @@ impl Stepgen {
         self.sum() >> 32 != 0
     }
 
-    fn ready(&self, set: &Settings) -> bool {
+    fn ready(&self) -> bool {
         !self.pulse
-            && self.step_done(set)
+            && self.step.done
             && self.reverse == self.negative()
-            && (!self.setup || self.dir_done(set))
+            && (!self.setup || self.direction.done)
     }
 
     /// A pulse is due in this clock and has to wait. Says nothing about `still`.
     pub fn waits(&self, i: &Input) -> bool {
-        i.gate && self.due() && !self.ready(&i.set)
+        i.gate && self.due() && !self.ready()
     }
 
     /// The velocity has the other direction.
@@ -232,7 +223,7 @@ impl Stepgen {
     }
 
     fn turns(&self, i: &Input) -> bool {
-        i.gate && !self.pulse && (self.setup || self.dir_done(&i.set)) && self.wants_turn()
+        i.gate && !self.pulse && (self.setup || self.direction.done) && self.wants_turn()
     }
 
     /// By how much the velocity may move in a clock.
@@ -261,7 +252,7 @@ impl Stepgen {
         let arrived = self.jump || self.up != below;
 
         // Position.
-        let (due, ready) = (self.due(), self.ready(set));
+        let (due, ready) = (self.due(), self.ready());
         let emit = i.gate && due && ready && !i.still;
         let turn = self.turns(i);
         if !i.still && i.gate && (!due || ready) {
@@ -273,10 +264,13 @@ impl Stepgen {
 
         // Timing.
         let quadrature = set.kind() == StepType::Quadrature;
-        let (step_done, dir_done) = (self.step_done(set), self.dir_done(set));
-        let fall = self.pulse && (step_done || (!i.gate && !quadrature));
-        self.step.clock(emit || fall, step_done);
-        self.direction.clock(turn || fall, dir_done);
+        let fall = self.pulse && (self.step.done || (!i.gate && !quadrature));
+        let (step_time, dir_time) = (self.step_time(set), self.dir_time(set));
+        let falls = |time| fall.then_some(time);
+        let begins = emit.then_some(set.steplen).or(falls(set.stepspace));
+        self.step.clock(begins, step_time);
+        let begins = turn.then_some(set.dirsetup).or(falls(set.dirhold));
+        self.direction.clock(begins, dir_time);
         self.setup = turn || (self.setup && !fall);
         let pulse = emit || (self.pulse && !fall);
 
