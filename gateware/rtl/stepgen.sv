@@ -165,8 +165,8 @@ module stepgen #(
 
     // ---- timing: when a pulse may start and end, and the direction may change -------------------
     // Two clocks count up from the last event; a time is over from the clock on in which they are
-    // equal. A flip-flop says so, computed a clock ahead, because the longest path begins there: from
-    // a pulse that waits through path time to the ramps of all axes. A time of 0 is one of 1.
+    // equal. A flip-flop says so, computed a clock ahead: the longest path begins there, and goes
+    // through path time to the ramps of all axes. A time of 0 is one of 1.
     logic        pulse      = 1'b0;
     logic        setup      = 1'b0;   // dir_clock counts dirsetup (else dirhold)
     logic [12:0] step_clock = 13'd1;  // since the pulse rose or fell
