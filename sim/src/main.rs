@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::{CommandFactory, Parser, ValueEnum};
 use sim::board::TraceWindow;
 use sim::board_facts::BoardFacts;
@@ -319,6 +319,11 @@ impl Arguments {
 
     /// The twin, switched on.
     fn twin(&self) -> anyhow::Result<Twin> {
+        if self.wired.is_some() {
+            bail!(
+                "--wired is for the gateware of an image (--backend rtl); the model has the pins of its board file, which --board names"
+            );
+        }
         let facts = match (&self.channels, &self.soc) {
             (Some(channels), _) => {
                 let has = self.no_sdram || self.jobs.is_some();
@@ -424,4 +429,17 @@ fn main() -> anyhow::Result<()> {
         eprintln!("sim: {steps} steps in {}", path.display());
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_model_has_no_headers_to_wire() {
+        let arguments =
+            Arguments::parse_from(["ferrocnc-sim", "--backend", "model", "--wired", "mill.toml"]);
+        let why = arguments.twin().err().unwrap().to_string();
+        assert!(why.contains("--board"), "{why}");
+    }
 }
