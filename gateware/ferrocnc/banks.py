@@ -552,7 +552,7 @@ class Cores(LiteXModule):
         assert 1 <= axes <= min(rm.JOB_AXES_MAX, channels.stepgen), f"jobs of {axes} axes on a board with {channels.stepgen} step generators"
         b, n_out = rm.SEGMENTS, max(1, min(rm.WORD_PINS, channels.outputs))
         job = SimpleNamespace(
-            **{name: Signal(name=f"job_{name}") for name in ("advance", "stop", "busy", "stage", "commit", "waits", "stopped")},
+            **{name: Signal(name=f"job_{name}") for name in ("advance", "stop", "busy", "stage", "commit_due", "waits", "stopped")},
             at=Signal(4), word=Signal(32), data=Signal(32), aux=Signal(16), mask=fabric.storage(b, "mask", n_out))
         level, state, reason, refused, stands, held = Signal(8), Signal(2), Signal(3), Signal(5), Signal(), Signal()
         begun, left, tag, pace_now = Signal(32), Signal(32), Signal(16), Signal(17)
@@ -564,7 +564,7 @@ class Cores(LiteXModule):
             **{f"i_{name}": control & (fabric.data == n) for n, name in ((1, "start"), (2, "quit"), (3, "clear"))},
             i_pace_we=fabric.pulse(b, "pace"), i_pace=pace, i_slew=slew, i_beam=beam,
             i_waits=job.waits, i_stopped=job.stopped, o_advance=job.advance, o_stop=job.stop, o_busy=job.busy,
-            o_stage=job.stage, o_stage_at=job.at, o_staged_word=job.word, o_commit=job.commit, o_aux=job.aux,
+            o_stage=job.stage, o_stage_at=job.at, o_staged_word=job.word, o_commit_due=job.commit_due, o_aux=job.aux,
             o_level=level, o_state=state, o_reason=reason, o_refused=refused, o_stands=stands, o_held=held,
             o_begun=begun, o_left_now=left, o_tag=tag, o_pace_now=pace_now)
         zero = Constant(0, 2)
@@ -599,7 +599,7 @@ class Cores(LiteXModule):
             return {"i_stop": self.stop, "i_advance": 1, "i_commit": self.commit, "i_enable": enable}
         job = self.job
         return {"p_TIMED": 1, "i_stop": self.stop | job.stop, "i_advance": job.advance,
-                "i_commit": Mux(job.busy, job.commit, self.commit), "i_enable": enable | job.busy}
+                "i_commit": Mux(job.busy, job.commit_due, self.commit), "i_enable": enable | job.busy}
 
     def _stepgens(self, fabric, channels, arms):
         self.stepgen_flags = index_flags, probe_flags, limited = [[Signal() for _ in range(channels)] for _ in range(3)]

@@ -12,7 +12,7 @@ module segments_promises #(
     input wire [15:0] beam
 );
     segments #(.AXES(AXES), .DEPTH(DEPTH)) core (
-        .advance(), .stop(), .busy(), .stage(), .stage_at(), .staged_word(), .commit(), .aux(), .level(), .state(), .reason(), .refused(),
+        .advance(), .stop(), .busy(), .stage(), .stage_at(), .staged_word(), .commit_due(), .commit(), .aux(), .level(), .state(), .reason(), .refused(),
         .stands(), .held(), .begun(), .left_now(), .tag(), .pace_now(), .*);
 endmodule
 `default_nettype wire

@@ -68,6 +68,7 @@ module segments #(
     output wire         stage,
     output wire  [3:0]  stage_at,   // 2n: velocity of axis n; 2n + 1: its acceleration
     output wire  [31:0] staged_word,
+    output wire         commit_due, // a commit if path time passes in this clock
     output wire         commit,
     output wire  [15:0] aux,
 
@@ -187,7 +188,8 @@ module segments #(
     wire breaks = ~gate | halt | quit;
     wire over   = left[32] & advance;
 
-    assign commit   = (state == PLAY) & staged & over & ~breaks;
+    assign commit_due = (state == PLAY) & staged & left[32] & ~breaks;
+    assign commit   = commit_due & advance;
     assign stop     = state[0];
     assign busy     = |state;
     assign left_now = left[31:0];

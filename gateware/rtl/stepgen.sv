@@ -40,8 +40,9 @@
 //
 // Velocity and position change in path time, which passes in the clocks in which `advance` is 1
 // (TIMED; else in every clock). In the other clocks they stand, and so does a commit that has
-// begun; pulses, their times, and a stop's ramp continue with the clock. The core that scales time
-// stops it while `waits` (segments.sv): a late pulse then delays all axes and loses no step.
+// begun; pulses, their times, and a stop's ramp continue with the clock. A commit counts only in a
+// clock in which time passes. The core that scales time stops it while `waits` (segments.sv): a late
+// pulse then delays all axes and loses no step.
 `default_nettype none
 module stepgen #(
     // 1: path time is scaled; 0: `advance` is ignored, and costs no logic
@@ -57,7 +58,7 @@ module stepgen #(
     input  wire         advance,      // 1: path time passes
 
     // the command, taken while `commit`
-    input  wire         commit,
+    input  wire         commit,       // with `advance`
     input  wire         enable,
     input  wire  [31:0] velocity,     // signed
     input  wire  [31:0] accel,
@@ -97,12 +98,15 @@ module stepgen #(
     // share one (decision 10).
     wire  [31:0] target  = wanted & {32{~braking}};
 
-    wire take  = commit & ~halt;
-    wire pause = fresh | take | (halt & ~halted);
+    // `advance` comes late and decides last.
+    wire command = commit & ~halt;
+    wire take    = TIMED ? command & advance : command;
+    wire begins  = halt & ~halted;  // a stop
+    wire pause   = fresh | take | begins;
     // a stop works whether or not time passes
-    wire holds = TIMED ? pause | ~(advance | braking) : pause;
+    wire holds   = fresh | begins | (TIMED & ~advance ? ~braking : command);
 
-    wire fresh_next = take | (halt & ~halted) | (TIMED ? fresh & ~advance & ~braking : 1'b0);
+    wire fresh_next = begins | (TIMED & ~advance ? fresh & ~braking : command);
 
     always_ff @(posedge clk) begin
         halted <= halt;
@@ -300,10 +304,10 @@ module stepgen #(
 
     always_ff @(posedge clk) begin
         if (halting) {resting, asked} <= {1'b1, 32'd0};
-        else if (commit) {resting, asked, given} <= {~enable, enable ? velocity : 32'd0, accel};
+        else if (commit & advance) {resting, asked, given} <= {~enable, enable ? velocity : 32'd0, accel};
         was_resting <= resting;
         was_paused  <= pause;
-        was_taken   <= commit & ~halting;
+        was_taken   <= commit & advance & ~halting;
         was_waiting <= waits;
         was_advancing <= advance;
         was_fresh   <= fresh;

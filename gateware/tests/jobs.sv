@@ -53,10 +53,11 @@ module jobs #(
     assign waits = |waiting;
     assign {position2, position1, position0} = positions;
 
+    wire commit_due;
     segments #(.AXES(AXES)) core (
         .clk(clk), .gate(gate), .halt(halt), .word_we(word_we), .word_at(word_at), .word(word), .push(push), .start(start), .quit(quit),
         .clear(clear), .pace_we(pace_we), .pace(pace), .slew(slew), .beam(beam), .waits(waits), .stopped(&stopped), .advance(advance),
-        .stop(stop), .busy(busy), .stage(stage), .stage_at(stage_at), .staged_word(staged_word), .commit(commit), .aux(aux),
+        .stop(stop), .busy(busy), .stage(stage), .stage_at(stage_at), .staged_word(staged_word), .commit_due(commit_due), .commit(commit), .aux(aux),
         .level(level), .state(state), .reason(reason), .refused(refused), .stands(stands), .held(held), .begun(begun), .left_now(left),
         .tag(tag), .pace_now(pace_now));
 
@@ -72,7 +73,7 @@ module jobs #(
             if (stage & stage_at == 4'(2 * n + 1)) accel <= staged_word;
         end
         stepgen #(.TIMED(1'b1)) s (
-            .clk(clk), .gate(gate), .stop(halt | stop), .stopped(stopped[n]), .advance(advance), .commit(busy ? commit : bus_commit),
+            .clk(clk), .gate(gate), .stop(halt | stop), .stopped(stopped[n]), .advance(advance), .commit(busy ? commit_due : bus_commit),
             .enable(1'b1), .velocity(velocity), .accel(accel), .steplen(steplen), .stepspace(steplen), .dirsetup(dirsetup),
             .dirhold(16'd1), .stop_accel(stop_accel), .kind(2'd0), .step_invert(1'b0), .dir_invert(1'b0), .visit(1'b1),
             .delta(delta), .fraction(positions[64 * n +: 32]), .velocity_now(velocities[32 * n +: 32]), .waits(waiting[n]),

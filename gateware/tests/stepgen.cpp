@@ -147,7 +147,7 @@ struct Checker {
         stood += !advance;
         const uint64_t steplen = std::max(1u, s.steplen), stepspace = std::max(1u, s.stepspace);
         const uint64_t dirsetup = std::max(1u, s.dirsetup), dirhold = std::max(1u, s.dirhold);
-        const bool gate = c.gate, halt = c.stop || !gate, take = c.commit && !halt;
+        const bool gate = c.gate, halt = c.stop || !gate, take = c.commit && advance && !halt;
         const int64_t v = velocity >> 24;
         CHECK(b, int32_t(c.velocity_now) == int32_t(v), "velocity is %d, the ramp says %lld", int32_t(c.velocity_now), (long long)v);
         const bool allowed = !pulse && low >= stepspace && since_dir >= dirsetup && reverse == (v < 0);
@@ -216,7 +216,7 @@ struct Checker {
     void commit(int32_t velocity, uint32_t accel, bool enable = true) {
         auto &c = *b.core;
         c.commit = 1, c.enable = enable, c.velocity = uint32_t(velocity), c.accel = accel;
-        clock();
+        do clock(); while (!c.advance && standing < 16);
         c.commit = 0;
     }
 
