@@ -40,9 +40,9 @@
 //
 // Velocity and position change in path time, which passes in the clocks in which `advance` is 1
 // (TIMED; else in every clock). In the other clocks they stand, and so does a commit that has
-// begun; pulses, their times, and a stop's ramp continue with the clock. A commit counts only in a
-// clock in which time passes. The core that scales time stops it while `waits` (segments.sv): a late
-// pulse then delays all axes and loses no step.
+// begun; pulses, their times, and a stop's ramp continue with the clock. A commit counts only while
+// path time passes. The core that scales time stops it while `waits` (segments.sv): a late pulse
+// then delays all axes and loses no step.
 `default_nettype none
 module stepgen #(
     // 1: path time is scaled; 0: `advance` is ignored, and costs no logic

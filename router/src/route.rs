@@ -536,7 +536,9 @@ impl<'a> Router<'a> {
                 continue;
             }
             let everywhere = [-1, -1, i32::MAX, i32::MAX];
-            let found = self.find(&way.tree, near.as_ref(), wire, critical, around)
+            // The wires near a late pin may be the end of the detour that makes it late.
+            let begin = near.as_ref().filter(|_| critical <= SLOW * CRITICAL);
+            let found = self.find(&way.tree, begin, wire, critical, around)
                 || self.find(&way.tree, None, wire, critical, everywhere);
             if !found {
                 bail!(
