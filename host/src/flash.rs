@@ -19,7 +19,8 @@ const QUESTION: Duration = Duration::from_millis(600);
 /// 60 s: time to walk to the machine and plug the cable in again.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 /// 20 s: the slowest thing a flash does is to erase 64 KiB, 2 s by its data sheet. After this time
-/// the chip or the firmware is stuck.
+/// the chip or the firmware is stuck, unless the patience is longer than three times this: the
+/// board may be a simulated one on a busy computer.
 const SLOWEST: Duration = Duration::from_secs(20);
 /// 5 s in which the board answers but does not take the operation: it refuses.
 const REFUSED: Duration = Duration::from_secs(5);
@@ -381,7 +382,7 @@ impl<'t> Flasher<'t> {
             };
             let began = Instant::now();
             while answer.word.busy && mine(&answer) {
-                if began.elapsed() > SLOWEST {
+                if began.elapsed() > SLOWEST.max(self.patience / 3) {
                     return Err(FlashError::Stuck(op));
                 }
                 std::thread::sleep(LOOK);

@@ -527,7 +527,7 @@ impl<D: Device> Server<D> {
             "" => String::new(),
             "help" => format!(
                 "freeze-cpu [0|1], ext-reset [0|1], gpio-in MASK, ping, run CLOCKS, run-ms MS, \
-                 wait-for-host US, fault [WORDS], drop-to-board N, drop-from-board N, pins, counts, stats, report, quit; WORDS of fault: {WORDS}"
+                 wait-for-host US, mode free|lockstep NS, fault [WORDS], drop-to-board N, drop-from-board N, pins, counts, stats, report, quit; WORDS of fault: {WORDS}"
             ),
             "fault" => self.fault(line.trim_start().trim_start_matches("fault")),
             "freeze-cpu" => match level(rest) {
@@ -568,6 +568,7 @@ impl<D: Device> Server<D> {
                 }
                 None => "error: wait-for-host takes microseconds, 0 for not at all".into(),
             },
+            "mode" => self.change_mode(&words[1..]),
             "drop-to-board" | "drop-from-board" => match rest.and_then(|t| number(t)) {
                 Some(n) if words[0] == "drop-to-board" => {
                     let faults = self.rig.faults();
@@ -611,10 +612,25 @@ impl<D: Device> Server<D> {
         }
     }
 
+    /// From here on time passes in this way.
+    fn change_mode(&mut self, words: &[&str]) -> String {
+        let nanoseconds = words.get(1).and_then(|ns| ns.parse().ok());
+        self.options.mode = match (words, nanoseconds) {
+            (["free"], _) => Mode::Free { pace: None },
+            (["lockstep", _], Some(ns @ 1..)) => Mode::Lockstep {
+                period: self.rig.clocks(Duration::from_nanos(ns)),
+            },
+            _ => return "error: mode takes free, or lockstep and nanoseconds".into(),
+        };
+        self.period_end = self.rig.clock();
+        (self.last_exchange, self.exchanger, self.pace_from) = (None, None, None);
+        format!("ok clock={} mode={}", self.rig.clock(), words[0])
+    }
+
     fn told_pins(&self) -> String {
         let p = self.rig.environment().pins();
         format!(
-            "ok clock={} gate={} step={:#06x} dir={:#06x} pwm={:#06x} gpio_out={:#010x} gpio_in={:#010x} led={}",
+            "ok clock={} gate={} step={:#06x} dir={:#06x} pwm={:#06x} gpio_out={:#010x} gpio_in={:#010x} led={} drives={:#016x}",
             self.rig.clock(),
             p.gate,
             p.step,
@@ -622,7 +638,8 @@ impl<D: Device> Server<D> {
             p.pwm_out,
             p.gpio_out,
             p.gpio_in,
-            p.led
+            p.led,
+            p.header_drives
         )
     }
 

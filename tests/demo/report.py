@@ -19,6 +19,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from card import in_words, too_slow
 
 AXES = "xyz"
 EDGE = np.dtype([("clock", "<u8"), ("count", "<i4"), ("channel", "u1"), ("forward", "u1"), ("zero", "<u2")])
@@ -39,7 +40,10 @@ def load(out):
     edges = np.fromfile(out / "edges.bin", EDGE, offset=16)
     simulator = json.loads((out / "sim.json").read_text())
     result = json.loads((out / "result.json").read_text())
-    return samples, edges, simulator, result
+    # Of a card that was given its board file.
+    file = out / "card.json"
+    card = json.loads(file.read_text()) if file.exists() else None
+    return samples, edges, simulator, result, card
 
 
 class Pins:
@@ -102,7 +106,7 @@ def allowed(axis, command, intervals, clock_hz):
     return 0.5 + loop_lag(axis["accel_steps"] / axis["maxaccel_steps"]) * accel + 2 * late * way + 2 * ROUNDING * axis["scale"]
 
 
-def analyse(samples, edges, simulator, result):
+def analyse(samples, edges, simulator, result, card):
     pins = Pins(edges)
     scales = [axis["scale"] for axis in result["axes"]]
     clocks = (samples["ticks_msb"].astype(np.int64) << 32) + samples["ticks_lsb"].astype(np.int64)
@@ -157,7 +161,11 @@ def analyse(samples, edges, simulator, result):
     report["step_timing_violations"] = simulator["timing_violations"]
     report["sys_clk_hz"] = simulator["sys_clk_hz"]
     report["kcycles_per_second"] = simulator["kcycles_per_second"]
-    report["machine_seconds"] = simulator["clocks"] / simulator["sys_clk_hz"]
+    begun = card["ended_clock"] if card else 0
+    report["machine_seconds"] = (simulator["clocks"] - begun) / simulator["sys_clk_hz"]
+    if card:
+        armed = arrival[samples["enabled"] > 0][0]
+        report["first_file"] = card | {"armed_s": float(armed - card["begun_clock"]) / simulator["sys_clk_hz"]}
     report["program"] = Path(result["program"]).name
     return report, pins, deviations, arrival, rows, scales
 
@@ -202,6 +210,8 @@ def draw(out, samples, pins, deviations, arrival, rows, scales, report):
 
 
 def table(report):
+    if "first_file" in report:
+        print(in_words(report["first_file"]) + "\n")
     print("| axis | pulses at the pins | firmware's count | at rest, steps off | in motion, steps off (max) | of allowed |")
     print("|---|---|---|---|---|---|")
     for axis in report["axes"]:
@@ -227,6 +237,8 @@ def table(report):
 
 def verdict(report):
     """Everything that must hold, as sentences when it does not."""
+    if "first_file" in report:
+        yield from too_slow(report["first_file"])
     for axis in report["axes"]:
         name = axis["name"].upper()
         if axis["pulses_at_pins"] != axis["firmware_counts"]:
@@ -257,8 +269,8 @@ def main():
     parser.add_argument("out", type=Path)
     parser.add_argument("--json", type=Path, required=True)
     options = parser.parse_args()
-    samples, edges, simulator, result = load(options.out)
-    report, pins, deviations, arrival, rows, scales = analyse(samples, edges, simulator, result)
+    samples, edges, simulator, result, card = load(options.out)
+    report, pins, deviations, arrival, rows, scales = analyse(samples, edges, simulator, result, card)
     draw(options.out, samples, pins, deviations, arrival, rows, scales, report)
     options.json.parent.mkdir(parents=True, exist_ok=True)
     options.json.write_text(json.dumps(report, indent=2) + "\n")

@@ -3,6 +3,10 @@
 keeps what they recorded.
 
     run.py SOC FIRMWARE.elf OUT [--program FILE.ngc] [--simulator FILE]
+           [--card FILE.toml --tool FERROCNC]
+
+With --card the board is an empty card that is given this board file over the simulated wire first,
+by `ferrocnc config apply`; its flash and card.json are in OUT, too.
 
 Leaves in OUT: samples.csv (every servo period as LinuxCNC saw it), edges.bin (every step at the
 pins), sim.json (the simulator's report), result.json and the logs. Uses only the standard library;
@@ -10,19 +14,15 @@ needs the driver installed.
 """
 
 import argparse
-import signal
-import socket
+import json
 import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent.parent
+from card import apply
+from simulator import RELEASE, ROOT, Simulator
 
-
-def free_port(kind):
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+SERVO_PERIOD_NS = 1_000_000
 
 
 def watch(mill, samples):
@@ -41,37 +41,33 @@ def main():
     parser.add_argument("firmware")
     parser.add_argument("out", type=Path)
     parser.add_argument("--program", help="G-code file; the mill's own short one when not given")
-    parser.add_argument("--simulator", type=Path, default=ROOT / "target/release/ferrocnc-sim")
+    parser.add_argument("--simulator", type=Path, default=RELEASE)
+    parser.add_argument("--card", type=Path, help="SOC is an image whose pins are configured: give an empty card this board file first")
+    parser.add_argument("--tool", type=Path, help="the tool ferrocnc, for --card")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "samples.raw").unlink(missing_ok=True)
+    for old in ("samples.raw", "card.json"):
+        (options.out / old).unlink(missing_ok=True)
 
-    board = f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
-    simulator = subprocess.Popen(
-        [
-            options.simulator,
-            *("--soc", options.soc, "--firmware", options.firmware, "--mode", "lockstep", "--silence-ms", "600000"),
-            *("--udp", board, "--console", f"127.0.0.1:{free_port(socket.SOCK_STREAM)}"),
-            *("--report", options.out / "sim.json", "--edges", options.out / "edges.bin"),
-        ],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        ready = simulator.stdout.readline()
-        if not ready.startswith("ready"):
-            sys.exit(f"the simulated board did not start: {ready.strip() or 'it said nothing'}")
-        print(ready.strip(), flush=True)
-        mill = [sys.executable, ROOT / "host/examples/mill/run.py", "--board", board, "--out", options.out, "--lockstep"]
+    records = ("--report", options.out / "sim.json", "--edges", options.out / "edges.bin")
+    card = ("--mode", "lockstep")
+    if options.card:
+        flash = options.out / "card.flash"
+        flash.unlink(missing_ok=True)
+        card = ("--mode", "free", "--flash", flash, "--wired", options.card)
+    with Simulator(options.simulator, options.soc, options.firmware, *records, *card) as simulator:
+        print(simulator.ready, flush=True)
+        if options.card:
+            told = apply(simulator, options.tool, options.card)
+            if told["lines_before"]:
+                sys.exit(f"an empty card drove {told['lines_before']} lines")
+            (options.out / "card.json").write_text(json.dumps(told, indent=2) + "\n")
+            print(f"{told['file']} is in force after {told['driven_s']:.3f} s of board time", flush=True)
+            simulator.ask(f"mode lockstep {SERVO_PERIOD_NS}")
+        mill = [sys.executable, ROOT / "host/examples/mill/run.py", "--board", simulator.board, "--out", options.out, "--lockstep"]
         if options.program:
             mill += ["--program", options.program]
         code = watch(subprocess.Popen(mill), options.out / "samples.raw")
-    finally:
-        simulator.send_signal(signal.SIGTERM)
-        try:
-            simulator.wait(60)
-        except subprocess.TimeoutExpired:
-            simulator.kill()
     return code
 
 

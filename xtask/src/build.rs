@@ -6,7 +6,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// The board the demo and the tests use.
+/// The board the tests use.
 pub const BOARD: &str = "mill6";
 
 /// The board with jobs, and so with SDRAM, that the tests use.
@@ -25,9 +25,18 @@ pub struct Parts {
     pub firmware: PathBuf,
 }
 
-/// Sets up and builds board and firmware, and beside them what `host` builds of the host's
-/// programs; what is fresh is left alone.
+/// Sets up and builds the board of the tests and the firmware, and beside them what `host` builds
+/// of the host's programs; what is fresh is left alone.
 pub fn everything(host: fn() -> Result<()>) -> Result<Parts> {
+    parts(|reader| elaborate_and_verilate(BOARD, reader), host)
+}
+
+/// As [`everything`], with the image of [`IMAGE`] in place of the board.
+pub fn everything_for_the_image(host: fn() -> Result<()>) -> Result<Parts> {
+    parts(verilate_image, host)
+}
+
+fn parts(board: fn(&Path) -> Result<PathBuf>, host: fn() -> Result<()>) -> Result<Parts> {
     // The reader of board files comes first: cargo builds one thing at a time in a folder, and
     // LiteX waits for it. It needs nothing of what is set up.
     let reader = std::thread::scope(|scope| {
@@ -42,7 +51,7 @@ pub fn everything(host: fn() -> Result<()>) -> Result<Parts> {
     std::thread::scope(|scope| {
         let host = scope.spawn(host);
         let firmware = firmware();
-        let soc = elaborate_and_verilate(BOARD, &reader);
+        let soc = board(&reader);
         host.join()
             .unwrap_or_else(|_| bail!("the build of the host panicked"))?;
         Ok(Parts {
@@ -105,11 +114,11 @@ pub const IMAGE_CHANNELS: &str = "8/8/8";
 
 /// Elaborates the image of [`IMAGE`] for simulation and verilates it.
 pub fn simulated_image() -> Result<PathBuf> {
-    verilate(
-        IMAGE,
-        &["--platform".into(), IMAGE.into()],
-        &board_reader()?,
-    )
+    verilate_image(&board_reader()?)
+}
+
+fn verilate_image(reader: &Path) -> Result<PathBuf> {
+    verilate(IMAGE, &["--platform".into(), IMAGE.into()], reader)
 }
 
 fn elaborate_and_verilate(board: &str, reader: &Path) -> Result<PathBuf> {
@@ -172,8 +181,16 @@ pub fn simulated_cores(board: &str) -> Result<()> {
     )
 }
 
-/// The driver and the simulator's front end, which the demo needs. Not the tool, whose SVG and
-/// fonts are most of the host's build.
+/// What the demo needs: driver, simulator and tool. The tool's SVG and fonts are most of the host's
+/// build, so it is not optimised, and what xtask has of it is not built again.
+pub fn driver_simulator_and_tool() -> Result<()> {
+    driver_and_simulator()?;
+    let mut tool = Command::new("cargo");
+    tool.args(["build", "--package", "ferrocnc", "--bin", "ferrocnc"]);
+    step::run("tool", "build the tool (Rust)", "2 min", &mut tool)
+}
+
+/// The driver and the simulator's front end.
 pub fn driver_and_simulator() -> Result<()> {
     let simulator = ["--package", "ferrocnc-sim", "--bin", "ferrocnc-sim"];
     let title = "build the driver and the simulator (Rust)";
