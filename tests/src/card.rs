@@ -1,6 +1,8 @@
 //! A card whose pins are configured: the Verilated image of the 5A-75B 8.0 with 8 step generators,
 //! encoders and PWMs, and a flash with the configuration of a board file, or without one.
 
+use ferrocnc_config::import::Imported;
+use ferrocnc_config::source::Folder;
 use ferrocnc_config::{Board, pins, read_board};
 use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part, Times};
@@ -28,10 +30,19 @@ pub fn file(name: &str) -> (Board, String) {
     (board, text)
 }
 
+/// What `ferrocnc config import` makes of a JSON of LiteX-CNC, at the address the benches ask.
+pub fn imported(json: &str) -> (Board, String) {
+    let text = std::fs::read_to_string(root().join(json)).unwrap_or_else(|e| panic!("{json}: {e}"));
+    let platforms = Folder::default();
+    let text = text.replace("10.0.0.10", "192.168.2.50");
+    let import = ferrocnc_config::import::litexcnc(json, &text, "imported", &platforms);
+    let Imported { board, toml, .. } = import.unwrap_or_else(|error| panic!("{error}"));
+    (board, toml)
+}
+
 /// The configuration of a board file for the image.
-pub fn configuration(name: &str, generation: u32) -> Vec<u8> {
-    let (board, text) = file(name);
-    pins::configuration(&board, &text, BUILT, generation).unwrap_or_else(|error| panic!("{error}"))
+pub fn configuration((board, text): &(Board, String), generation: u32) -> Vec<u8> {
+    pins::configuration(board, text, BUILT, generation).unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// The chip of a new card.
@@ -57,6 +68,6 @@ pub fn setup(chip: Nor, wired: &Board) -> Setup {
 }
 
 /// A card that has the configuration of a board file, and is wired so.
-pub fn configured(name: &str) -> Setup {
-    setup(chip(0, &configuration(name, 1)), &file(name).0)
+pub fn configured(file: &(Board, String)) -> Setup {
+    setup(chip(0, &configuration(file, 1)), &file.0)
 }

@@ -72,20 +72,25 @@ fn a_card_without_a_configuration_describes_no_channels_and_drives_nothing() {
 
 #[test]
 fn every_function_of_the_mill_is_at_its_pin() {
-    let (board, mut machine, mut command) = functions_of("mill6");
+    let (board, mut machine, mut command) = functions_of(card::file("mill6"));
     stops(&board, &mut machine, &mut command);
 }
 
 #[test]
 fn every_function_of_two_files_of_lcnc_is_at_its_pin() {
     for name in ["75b_v8_14o11i6s6e6p", "75b_v8_26o23i6p"] {
-        functions_of(name);
+        functions_of(card::file(name));
     }
 }
 
 #[test]
+fn every_function_of_an_import_of_litexcnc_is_at_its_pin() {
+    functions_of(card::imported("config/tests/samples/six_axis.json"));
+}
+
+#[test]
 fn a_restart_of_the_firmware_lets_go_of_no_line_and_steps_no_axis() {
-    let (board, mut machine) = started("mill6");
+    let (board, mut machine) = started(card::file("mill6"));
     let boot = address(BOOT_ID_AT);
     let before = machine.read(boot);
     let lines = lines_to_drive(&board);
@@ -106,13 +111,14 @@ fn a_restart_of_the_firmware_lets_go_of_no_line_and_steps_no_axis() {
 
 #[test]
 fn a_damaged_configuration_and_one_for_another_card_drive_nothing_and_the_card_does_not_arm() {
-    let (mill, _) = card::file("mill6");
-    let mut foreign = card::configuration("mill6", 1);
+    let file = card::file("mill6");
+    let mill = &file.0;
+    let mut foreign = card::configuration(&file, 1);
     // Another platform; the CRC is right again.
     foreign[4 * 6] ^= 1;
     let crc = wire::crc::crc32(&foreign[16..]);
     foreign[12..16].copy_from_slice(&crc.to_be_bytes());
-    let mut machine = BenchMachine::boot(card::setup(card::chip(1, &foreign), &mill));
+    let mut machine = BenchMachine::boot(card::setup(card::chip(1, &foreign), mill));
     let expected = Loaded {
         verdict: Verdict::Platform,
         copy: Some(1),
@@ -130,16 +136,16 @@ fn a_damaged_configuration_and_one_for_another_card_drive_nothing_and_the_card_d
     }
 
     // A bit that has turned over since it was written: as if there were none.
-    let mut damaged = card::configuration("mill6", 1);
+    let mut damaged = card::configuration(&file, 1);
     damaged[200] ^= 0x10;
-    let mut machine = BenchMachine::boot(card::setup(card::chip(0, &damaged), &mill));
+    let mut machine = BenchMachine::boot(card::setup(card::chip(0, &damaged), mill));
     assert_eq!(loaded(&mut machine).verdict, Verdict::Missing);
     assert_eq!(driven(&mut machine), 0);
 }
 
 #[test]
 fn with_the_button_held_at_power_up_nothing_is_driven() {
-    let mut setup = card::configured("mill6");
+    let mut setup = card::configured(&card::file("mill6"));
     setup.factory = true;
     let mut machine = BenchMachine::boot(setup);
     assert_eq!(loaded(&mut machine).verdict, Verdict::FactoryPin);
@@ -148,9 +154,10 @@ fn with_the_button_held_at_power_up_nothing_is_driven() {
 }
 
 /// A card with this configuration, described, at its safe levels, acquired and configured.
-fn started(name: &str) -> (Board, BenchMachine) {
-    let (board, _) = card::file(name);
-    let mut machine = BenchMachine::boot(card::configured(name));
+fn started(file: (Board, String)) -> (Board, BenchMachine) {
+    let mut machine = BenchMachine::boot(card::configured(&file));
+    let (board, _) = file;
+    let name = &board.name;
     machine.inputs(quiet(&board));
     let in_force = Loaded {
         verdict: Verdict::InForce,
@@ -174,8 +181,8 @@ fn started(name: &str) -> (Board, BenchMachine) {
 
 /// A card with this configuration, armed, each of whose functions but the stops has been at its
 /// pin.
-fn functions_of(name: &str) -> (Board, BenchMachine, Command) {
-    let (board, mut machine) = started(name);
+fn functions_of(file: (Board, String)) -> (Board, BenchMachine, Command) {
+    let (board, mut machine) = started(file);
     let mut command = machine.enabled_command();
     machine.rearm(&mut command);
     step_generators_and_encoders(&board, &mut machine, &mut command);
