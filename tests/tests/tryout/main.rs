@@ -22,13 +22,18 @@ struct Terminal {
 
 impl Terminal {
     fn new(name: &str, arguments: &[&str]) -> Self {
+        Self::behind("", name, arguments)
+    }
+
+    /// With this in front of the tool's name.
+    fn behind(first: &str, name: &str, arguments: &[&str]) -> Self {
         // A socket's path may have 107 bytes.
         let socket = std::env::temp_dir().join(format!("ferrocnc-{name}-{}", std::process::id()));
         let terminal = Terminal { socket };
         let tool = program("ferrocnc").display().to_string();
         let command = [&[tool.as_str()], arguments].concat().join(" ");
         // The pane stays when the tool has ended, so that its last words can be read.
-        let command = format!("{command}; echo ended with $?; sleep 1000");
+        let command = format!("{first} {command}; echo ended with $?; sleep 1000");
         let new = [
             "-f",
             "/dev/null",
@@ -292,11 +297,20 @@ fn a_lost_link_stops_the_axis_and_nothing_moves_until_it_is_armed_again() {
 
 #[test]
 fn a_terminal_that_is_closed_switches_off() {
+    closed("", "closed");
+}
+
+/// In a session of its own: the tool sees only the terminal's end, as in the moment before the
+/// shell passes the signal on.
+#[test]
+fn a_terminal_that_is_closed_switches_off_before_the_signal_comes() {
+    closed("setsid --wait", "gone");
+}
+
+fn closed(first: &str, name: &str) {
     let twin = twin();
-    let terminal = Terminal::new(
-        "closed",
-        &["test", &twin.udp().to_string(), "--patience", "1000"],
-    );
+    let arguments = ["test", &twin.udp().to_string(), "--patience", "1000"];
+    let terminal = Terminal::behind(first, name, &arguments);
     terminal.wait("a arms; nothing is driven before");
     terminal.press("a");
     terminal.wait("ARMED");

@@ -109,6 +109,18 @@ pub(crate) fn ready(address: &str) -> Result<(Client, Identity)> {
     }
 }
 
+/// Whether the terminal has been closed.
+fn is_gone() -> bool {
+    let mut terminal = libc::pollfd {
+        fd: libc::STDIN_FILENO,
+        events: 0,
+        revents: 0,
+    };
+    // SAFETY: it points to one descriptor, which lives until the call is over; it does not wait.
+    let found = unsafe { libc::poll(&raw mut terminal, 1, 0) };
+    found > 0 && terminal.revents & (libc::POLLHUP | libc::POLLERR | libc::POLLNVAL) != 0
+}
+
 fn drive(
     terminal: &mut ratatui::DefaultTerminal,
     bench: &mut Bench,
@@ -122,9 +134,11 @@ fn drive(
     }
     let begin = Instant::now();
     let mut drawn = None;
-    while !ends.load(Ordering::Relaxed) {
+    while !ends.load(Ordering::Relaxed) && !is_gone() {
         let now = begin.elapsed();
-        while event::poll(Duration::ZERO)? {
+        // At the end of a terminal that is gone crossterm would read for ever, and the signal may
+        // come later.
+        while !is_gone() && event::poll(Duration::ZERO)? {
             let Event::Key(pressed) = event::read()? else {
                 continue;
             };
