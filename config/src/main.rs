@@ -10,7 +10,7 @@ use std::process::ExitCode;
 
 const USAGE: &str =
     "usage: ferrocnc-config export BOARD.toml [--ip A.B.C.D] [--port N] [--mac aa:bb:cc:dd:ee:ff]
-       ferrocnc-config export-platform NAME --channels S/E/P [--jobs N]
+       ferrocnc-config export-platform NAME [--channels S/E/P] [--jobs N]
 
 the configuration, or the image of a platform, as JSON, on standard output; what is named here
 stands in for what the file says";
@@ -20,7 +20,10 @@ fn main() -> ExitCode {
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let done = match words.as_slice() {
         ["export", board, network @ ..] => export(Path::new(board), network),
-        ["export-platform", name, "--channels", counts, jobs @ ..] => image(name, counts, jobs),
+        ["export-platform", name, "--channels", counts, jobs @ ..] => {
+            Counts::read(counts).and_then(|counts| image(name, counts, jobs))
+        }
+        ["export-platform", name, jobs @ ..] => image(name, Counts::OF_IMAGES, jobs),
         ["schema", folder] => schema(Path::new(folder)),
         _ => Err(USAGE.to_owned()),
     };
@@ -41,8 +44,7 @@ fn export(path: &Path, network: &[&str]) -> Result<(), String> {
     Ok(())
 }
 
-fn image(name: &str, counts: &str, jobs: &[&str]) -> Result<(), String> {
-    let counts = Counts::read(counts)?;
+fn image(name: &str, counts: Counts, jobs: &[&str]) -> Result<(), String> {
     let jobs = match jobs {
         [] => counts.jobs(),
         ["--jobs", "0"] => 0,

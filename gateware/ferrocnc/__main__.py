@@ -6,7 +6,7 @@ import logging
 import sys
 from pathlib import Path
 
-from .board import IMAGE_CHANNELS, BoardError, BoardFile, PlatformImage, read_board, read_image
+from .board import BoardError, BoardFile, PlatformImage, read_board
 from .tools import ToolError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -79,7 +79,7 @@ def main(argv=None):
 
 
 def _channels(parser):
-    parser.add_argument("--channels", default=IMAGE_CHANNELS, help=f"of an image: step generators, encoders, PWM generators (default: {IMAGE_CHANNELS})")
+    parser.add_argument("--channels", help="of an image: step generators, encoders, PWM generators (default: those of an image that is given out)")
 
 
 def _network(parser):
@@ -98,7 +98,7 @@ def _tools(_args):
 
 
 def _elaborate(args):
-    board = _board_or_image(args)
+    board = _subject(args, args.board, args.platform).read()
     if args.target == "sim":
         from . import sim
         sim.elaborate(board, args.out)
@@ -114,23 +114,14 @@ def _elaborate(args):
     return 0
 
 
-def _board_or_image(args):
-    if not args.platform:
-        return read_board(args.board, **_network_of(args))
-    _no_network(args)
-    return read_image(args.platform, args.channels)
-
-
-def _no_network(args):
-    if _network_of(args):
+def _subject(args, board, platform):
+    """What is named: a board file or a platform."""
+    network = _network_of(args)
+    if board:
+        return BoardFile(board, network)
+    if network:
         raise BoardError("--platform", "", "an image has no address of its own to change; the board's settings have, or a board file")
-
-
-def _subjects(args):
-    if not args.platform:
-        return [BoardFile(path, _network_of(args)) for path in args.board]
-    _no_network(args)
-    return [PlatformImage(platform, args.channels) for platform in args.platform]
+    return PlatformImage(platform, args.channels)
 
 
 def _gates(args):
@@ -160,7 +151,7 @@ def _pac(args):
 
 def _bitstream(args):
     from . import build
-    subjects = _subjects(args)
+    subjects = [_subject(args, board, None) for board in args.board or ()] + [_subject(args, None, platform) for platform in args.platform or ()]
     options = build.Options(args.firmware, args.first_seed, args.seeds, args.jobs, args.slack, args.firmware_only, args.without_pins, len(subjects))
     return build.bitstreams(subjects, Path(args.out), options, args.json, args.document, args.prove)
 

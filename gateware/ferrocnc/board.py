@@ -128,13 +128,14 @@ def read_board(path, **network):
     return _board(_ask(shown, "export", str(shown), *instead))
 
 
-IMAGE_CHANNELS = "8/8/8"  # of an image, if nothing else is said
+def read_image(platform, channels=None):
+    """The image of a platform, with so many channels ("4/2/0": step generators, encoders, PWM
+    generators), or with those of an image that is given out."""
+    return _board(_ask(platform, "export-platform", platform, *_channels(channels)))
 
 
-def read_image(platform, channels):
-    """The image of a platform, with so many channels ("8/8/8": step generators, encoders, PWM
-    generators)."""
-    return _board(_ask(platform, "export-platform", platform, "--channels", channels))
+def _channels(channels):
+    return ["--channels", channels] if channels else []
 
 
 class BoardFile:
@@ -161,14 +162,15 @@ class PlatformImage:
 
     def __init__(self, platform, channels):
         self.platform, self.channels = platform, channels
-        self.name = self.read().name
+        self._board = read_image(platform, channels)
+        self.name = self._board.name
 
     def read(self):
-        return read_image(self.platform, self.channels)
+        return self._board
 
     def arguments(self):
         """What `elaborate` is told."""
-        return ["--platform", self.platform, "--channels", self.channels]
+        return ["--platform", self.platform, *_channels(self.channels)]
 
 
 def _ask(what, *command):

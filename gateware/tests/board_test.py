@@ -48,8 +48,9 @@ def image():
     eight = board.read_image("5a-75b-8.0", "8/8/8")
     assert eight.name == "5a-75b-8.0" and eight.channels == board.Channels(8, 8, 8, 56, 56) and eight.jobs == 3 and eight.sdram
     assert eight.lines[0] == ("j1:0", "C4") and eight.lines[48] == ("j1:7", "N4") and (eight.key_ball, eight.key_active_low) == ("R7", True)
-    # `xtask::bitstream` has the same of the folder it builds into.
     assert board.PlatformImage("5a-75b-8.0", "4/2/0").name == "5a-75b-8.0-4-2-0"
+    given_out = board.PlatformImage("5a-75b-8.0", None)
+    assert given_out.name == "5a-75b-8.0" and given_out.read().channels == eight.channels
     for platform, channels, wanted in (("5a-75e-7.1", "8/8/8", "104 lines"), ("5a-75b-8.0", "8/8", "8/8/8"), ("5a-75z", "8/8/8", "5a-75b-8.0")):
         try:
             board.read_image(platform, channels)

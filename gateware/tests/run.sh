@@ -63,7 +63,7 @@ run() {  # core board directory arguments of the bench
         flags="-DMAP='\"$dir/cores.map\"' -DPLATFORM=$(printf %s "$board" | "$root/target/venv/bin/python" -c "import sys, zlib; print(zlib.crc32(sys.stdin.buffer.read()))")u"
         lint="-Wno-lint -Wno-style -Wno-COMBDLY"
         PYTHONPATH=$here/.. "$root/target/venv/bin/python" -m ferrocnc elaborate --target cores \
-            --platform "$board" --channels 8/8/8 --out "$dir" >/dev/null || return 1
+            --platform "$board" --out "$dir" >/dev/null || return 1
     fi
     # the board's PHY with LiteEth's MAC behind it and the ECP5's pins in front
     if [ "$core" = rgmii ]; then

@@ -99,7 +99,7 @@ enum Subjects {
 }
 
 impl Subjects {
-    /// The folders below `target/bitstream`.
+    /// What they are called while they are built: a board file's images keep that name.
     fn names(&self) -> Result<Vec<String>> {
         match self {
             Subjects::BoardFiles(files) => {
@@ -109,16 +109,10 @@ impl Subjects {
                 };
                 files.iter().map(name).collect()
             }
-            // As `config::image` names them.
-            Subjects::Images(platforms, channels) => {
-                let more = match channels.as_deref() {
-                    None | Some(build::IMAGE_CHANNELS) => String::new(),
-                    Some(channels) => format!("-{}", channels.replace('/', "-")),
-                };
-                Ok(platforms
-                    .iter()
-                    .map(|name| format!("{name}{more}"))
-                    .collect())
+            Subjects::Images(platforms, None) => Ok(platforms.clone()),
+            Subjects::Images(platforms, Some(channels)) => {
+                let name = |platform| format!("{platform} with {channels}");
+                Ok(platforms.iter().map(name).collect())
             }
         }
     }
@@ -242,19 +236,31 @@ fn build_images(subjects: &Subjects, more: &[String]) -> Result<String> {
     build.args(subjects.arguments());
     build.arg("--out").arg(target("bitstream"));
     build.arg("--firmware").arg(&image);
-    build
-        .arg("--json")
-        .arg(target("reports/bitstream.json"))
-        .args(more);
+    let report = target("reports/bitstream.json");
+    build.arg("--json").arg(&report).args(more);
     let title = match names.as_slice() {
         [one] => format!("bitstream of {one}"),
         many => format!("bitstreams of {} configurations", many.len()),
     };
     let printed = step::run_quietly("bitstream", &title, &estimate(&names), &mut build)?;
-    for name in &names {
-        leave_elf(&image, &folder(name), name)?;
+    let report = std::fs::read_to_string(&report).context("the report of the build")?;
+    for name in built(&report)? {
+        leave_elf(&image, &folder(&name), &name)?;
     }
     Ok(printed)
+}
+
+/// The names of what was built, which are those of the folders.
+fn built(report: &str) -> Result<Vec<String>> {
+    let report: serde_json::Value = serde_json::from_str(report)?;
+    // Of one the report is flat.
+    let all = match report["boards"].as_array() {
+        Some(boards) => boards.as_slice(),
+        None => std::slice::from_ref(&report),
+    };
+    let name = |one: &serde_json::Value| Some(one["board"].as_str()?.to_owned());
+    let names: Option<_> = all.iter().map(name).collect();
+    names.context("the report of the build names no board")
 }
 
 /// Leaves the firmware's ELF beside an image, with the image's build id behind its end: `ferrocnc
@@ -316,15 +322,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_image_has_the_name_of_its_card_and_of_channels_that_are_not_the_usual_ones() {
-        let name = |channels: Option<&str>| {
-            let of = Subjects::Images(vec!["5a-75b-8.0".to_owned()], channels.map(str::to_owned));
-            of.names().unwrap().remove(0)
-        };
-        assert_eq!(name(None), "5a-75b-8.0");
-        assert_eq!(name(Some("8/8/8")), "5a-75b-8.0");
-        // `gateware/tests/board_test.py` has the same of the build.
-        assert_eq!(name(Some("4/2/0")), "5a-75b-8.0-4-2-0");
+    fn a_report_names_the_folders_of_what_was_built() {
+        let one = r#"{ "board": "5a-75b-8.0-4-2-0", "seed": 1 }"#;
+        let two = r#"{ "board": "b", "boards": [{ "board": "a" }, { "board": "b" }] }"#;
+        assert_eq!(built(one).unwrap(), ["5a-75b-8.0-4-2-0"]);
+        assert_eq!(built(two).unwrap(), ["a", "b"]);
+        assert!(built("{}").is_err());
     }
 
     #[test]

@@ -109,9 +109,6 @@ pub const IMAGES: [&str; 3] = ["5a-75b-7.0", "5a-75b-8.0", "5a-75b-8.2"];
 /// The platform of the image that the tests configure.
 pub const IMAGE: &str = "5a-75b-8.0";
 
-/// The channels of an image if nothing else is said: step generators, encoders, PWM generators.
-pub const IMAGE_CHANNELS: &str = "8/8/8";
-
 /// Elaborates the image of [`IMAGE`] for simulation and verilates it.
 pub fn simulated_image() -> Result<PathBuf> {
     verilate_image(&board_reader()?)
