@@ -178,19 +178,6 @@ impl Default for Pins {
     }
 }
 
-/// Can the board be armed with what became of its configuration?
-pub const fn usable(verdict: Verdict) -> bool {
-    match verdict {
-        Verdict::InForce | Verdict::Missing | Verdict::FactoryPin | Verdict::Fixed => true,
-        Verdict::Platform
-        | Verdict::Built
-        | Verdict::Counts
-        | Verdict::Output
-        | Verdict::Input
-        | Verdict::Refused => false,
-    }
-}
-
 /// Does this setting decide about the level of a pin at rest?
 pub const fn decides(setting: Setting) -> bool {
     match setting {

@@ -93,6 +93,21 @@ codes! {
     }
 }
 
+impl Verdict {
+    /// Can the board be armed with what became of its configuration?
+    pub const fn usable(self) -> bool {
+        match self {
+            Verdict::InForce | Verdict::Missing | Verdict::FactoryPin | Verdict::Fixed => true,
+            Verdict::Platform
+            | Verdict::Built
+            | Verdict::Counts
+            | Verdict::Output
+            | Verdict::Input
+            | Verdict::Refused => false,
+        }
+    }
+}
+
 /// [`crate::map::FLASH_PINS`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Loaded {

@@ -174,7 +174,7 @@ fn assert_idle(rig: &mut Rig, verdict: Verdict) {
             .all(|word| word.to_le_bytes() == [NONE; 4])
     );
     let obstacles = rig.read(address(OBSTACLES_AT)).unwrap();
-    let wanted = if usable(verdict) { 0 } else { OBSTACLE_PINS };
+    let wanted = if verdict.usable() { 0 } else { OBSTACLE_PINS };
     assert_eq!(obstacles, wanted, "{verdict}");
 }
 
@@ -673,7 +673,7 @@ proptest! {
         let (verdict, _) = loaded(&mut rig);
         if verdict != Verdict::InForce {
             assert_idle(&mut rig, verdict);
-            prop_assert!(!usable(verdict));
+            prop_assert!(!verdict.usable());
             let own = words(&description(&[(1, b"5a-75b"), (14, b"8.0")]));
             prop_assert_eq!(described(&mut rig), own);
             return Ok(());

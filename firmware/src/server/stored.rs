@@ -5,7 +5,6 @@
 use super::Server;
 use crate::block::Shape;
 use crate::cores::Board;
-use crate::pins;
 use wire::describe::{OBSTACLE_FLASH, OBSTACLE_PINS};
 use wire::images::Trailer;
 use wire::pins::Verdict;
@@ -28,7 +27,7 @@ impl Server {
     /// configuration of the pins is none for this board.
     pub(super) fn held_by(&self) -> u32 {
         let flash = if self.flash.busy() { OBSTACLE_FLASH } else { 0 };
-        match pins::usable(self.flash.pins.verdict) {
+        match self.flash.pins.verdict.usable() {
             true => flash,
             false => flash | OBSTACLE_PINS,
         }
@@ -39,7 +38,7 @@ impl Server {
         self.safety.hold(self.held_by() != 0);
     }
 
-    /// A setting has changed that [`pins::decides`], or it may have: the levels of the pins at rest
+    /// A setting has changed that `pins::decides`, or it may have: the levels of the pins at rest
     /// follow. Such settings change at rest only.
     #[inline(never)]
     pub(super) fn follow_settings<B: Board>(&mut self, board: &mut B) {

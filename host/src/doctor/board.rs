@@ -193,18 +193,14 @@ fn stop(reason: FaultReason) -> Finding {
 /// Of a board whose pins are configured.
 fn board_file(verdict: Verdict) -> Finding {
     let check = "board file on the board";
-    let effect = "the board drives nothing";
+    let effect = match verdict.usable() {
+        true => "the board drives nothing",
+        false => "the board drives nothing and does not arm",
+    };
     match verdict {
         Verdict::InForce => Finding::good(check, verdict.text()),
-        Verdict::Missing | Verdict::FactoryPin => {
-            Finding::note(check, verdict.text(), effect, remedy(verdict))
-        }
-        _ => Finding::bad(
-            check,
-            verdict.text(),
-            "the board drives nothing and does not arm",
-            remedy(verdict),
-        ),
+        _ if verdict.usable() => Finding::note(check, verdict.text(), effect, remedy(verdict)),
+        _ => Finding::bad(check, verdict.text(), effect, remedy(verdict)),
     }
 }
 

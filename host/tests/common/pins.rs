@@ -33,12 +33,11 @@ impl Mind {
         self.load_pins();
     }
 
-    /// As the firmware says it: `firmware::pins::usable`.
+    /// As the firmware says it.
     pub(super) fn obstacle_of_pins(&self) -> u32 {
-        use Verdict::{FactoryPin, Fixed, InForce, Missing};
-        match self.flash.pins.map_or(Fixed, |loaded| loaded.verdict) {
-            InForce | Missing | FactoryPin | Fixed => 0,
-            _ => wire::describe::OBSTACLE_PINS,
+        match self.flash.pins {
+            Some(loaded) if !loaded.verdict.usable() => wire::describe::OBSTACLE_PINS,
+            _ => 0,
         }
     }
 
