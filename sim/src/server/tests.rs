@@ -187,6 +187,39 @@ fn lockstep_gives_each_exchange_one_period() {
     assert!(!stop.load(Ordering::Relaxed));
 }
 
+#[test]
+fn the_way_time_passes_is_changed_while_the_board_runs() {
+    let (udp, control, _, thread) = serve(Mode::Free { pace: None });
+    let host = client(udp);
+    let mut stream = TcpStream::connect(control).unwrap();
+    let mut answers = BufReader::new(stream.try_clone().unwrap()).lines();
+    let mut ask = |command: &str| {
+        writeln!(stream, "{command}").unwrap();
+        answers.next().unwrap().unwrap()
+    };
+    let clock = |answer: String| -> u64 {
+        let (_, rest) = answer.split_once("ok clock=").expect(&answer);
+        rest.split(' ').next().unwrap().parse().unwrap()
+    };
+    for wrong in ["mode", "mode lockstep", "mode lockstep 0", "mode free 5"] {
+        assert!(ask(wrong).starts_with("error: mode takes"), "{wrong}");
+    }
+    let before = clock(ask("pins"));
+    while clock(ask("pins")) == before {}
+    // 6000 clocks of 60 MHz.
+    let begun = clock(ask("mode lockstep 100000"));
+    for n in 0..10 {
+        assert_eq!(talk(&host, &exchange(n)), exchange(n));
+    }
+    let passed = clock(ask("pins")) - begun;
+    assert!((60_000..=67_000).contains(&passed), "{passed}");
+    assert_eq!(clock(ask("pins")) - begun, passed);
+    let before = clock(ask("mode free"));
+    while clock(ask("pins")) == before {}
+    assert_eq!(ask("quit"), "ok");
+    thread.join().unwrap();
+}
+
 /// A record that reads one word.
 fn question() -> Vec<u8> {
     bytes(&[0x4e6f_1000, 0, 0x0000_0001, 0, 0x1234])
