@@ -29,7 +29,7 @@ fn moves_on(
 ) -> (JobsState, u64) {
     const CLIENTS: [Kind; 4] = [Kind::PingArmed, Kind::TcpArmed, Kind::Discovery, Kind::Tcp];
     let mut command = moving(machine);
-    let (mut worst, mut told) = (0, JobsState::None);
+    let mut worst = 0;
     let before: Vec<_> = (0..3).map(|axis| machine.edges(axis)).collect();
     for period in 0..48 {
         rots(machine, period, rng);
@@ -38,15 +38,19 @@ fn moves_on(
         let answer = answer.unwrap_or_else(|| panic!("{what}: no answer in period {period}"));
         assert_eq!(answer.status.state.state, State::Armed, "{what}: {period}");
         worst = worst.max(answer.turnaround);
-        told = answer.status.state.services;
     }
     assert!(worst <= FAST, "{what}: {worst} clocks");
     assert!(machine.gate_open(), "{what}");
-    assert_eq!(state(machine), told, "{what}: what HAL shows");
     machine.comes_to_rest(&mut command, what);
     for (axis, before) in before.into_iter().enumerate() {
         assert!(machine.edges(axis) > before, "{what}: axis {axis} moved");
     }
+    // They may end between two answers; while a host owns the board none are loaded.
+    let before = state(machine);
+    let shown = machine.exchange_and_wait(&mut command).state.services;
+    let told = state(machine);
+    let right = [before, told].contains(&shown);
+    assert!(right, "{what}: HAL shows {shown:?} between {before:?} and {told:?}");
     machine.release();
     (told, worst)
 }
