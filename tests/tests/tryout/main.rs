@@ -304,10 +304,18 @@ fn a_terminal_that_is_closed_switches_off() {
 /// shell passes the signal on.
 #[test]
 fn a_terminal_that_is_closed_switches_off_before_the_signal_comes() {
-    closed("setsid --wait", "gone");
+    let file = std::env::temp_dir().join(format!("ferrocnc-status-{}", std::process::id()));
+    let keeps = format!("sh -c '\"$@\"; echo $? > {}' sh", file.display());
+    let terminal = closed(&format!("setsid --wait {keeps}"), "gone");
+    let status = terminal.until("the tool has ended", || {
+        let status = std::fs::read_to_string(&file).ok()?;
+        status.ends_with('\n').then_some(status)
+    });
+    assert_eq!(status, "0\n", "the tool's exit status");
+    let _ = std::fs::remove_file(file);
 }
 
-fn closed(first: &str, name: &str) {
+fn closed(first: &str, name: &str) -> Terminal {
     let twin = twin();
     let arguments = ["test", &twin.udp().to_string(), "--patience", "1000"];
     let terminal = Terminal::behind(first, name, &arguments);
@@ -316,6 +324,7 @@ fn closed(first: &str, name: &str) {
     terminal.wait("ARMED");
     terminal.tmux(&["kill-server"]);
     terminal.until("the gate is closed", || (!twin.is_open()).then_some(()));
+    terminal
 }
 
 #[test]
