@@ -53,7 +53,7 @@ pub enum ClientError {
         /// The number the gateware was built from.
         gateware: u32,
     },
-    /// Its board file is none for its image.
+    /// Its board file is not in force, for a reason that prevents arming.
     Pins(Address),
     /// Another host drives it.
     Owned {
@@ -103,7 +103,7 @@ impl core::fmt::Display for ClientError {
             ),
             ClientError::Pins(address) => write!(
                 f,
-                "{address}: the board file on this board is none for its image, so it would not arm (ferrocnc describe {address} says why); give it one that is: ferrocnc config apply {address} FILE.toml"
+                "{address}: the board file on this board is not in force, so it would not arm; ferrocnc describe {address} says why and what to do, as in: ferrocnc config apply {address} FILE.toml"
             ),
             ClientError::Owned { address, owner } => write!(
                 f,
@@ -288,6 +288,11 @@ impl Client {
     pub fn hurried(mut self, every: Duration, patience: Duration) -> Self {
         (self.every, self.patience) = (every, patience);
         self
+    }
+
+    /// Another one for this address, with the same keys.
+    pub fn elsewhere(&self, address: &Address) -> Result<Self, ClientError> {
+        Ok(Client::open(address)?.with_keys(self.keys.clone()))
     }
 
     /// Looks there for the board's key, if it has one.

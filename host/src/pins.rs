@@ -28,6 +28,8 @@ use wire::{map, words_from_bytes};
 
 /// 300 ms: the board is asked this long at one address, then at the other.
 const QUESTION: Duration = Duration::from_millis(300);
+/// What is left to do when the configuration is written and nothing is known of its restart.
+const AGAIN: &str = "give the command again: the second copy still holds the file of before";
 /// Bytes in front of what the CRC is of.
 const UNSUMMED: u32 = 4 * GENERATION_AT as u32;
 
@@ -71,7 +73,12 @@ pub enum PinsError {
     /// It is back and does not use what was written.
     Unused(Loaded),
     /// It is in force, and the copy before could not be written over.
-    Second(Box<PinsError>),
+    Second {
+        /// Where the board is now, if that is elsewhere.
+        moved: Option<SocketAddrV4>,
+        /// Why not.
+        why: Box<PinsError>,
+    },
 }
 
 impl core::fmt::Display for PinsError {
@@ -91,7 +98,7 @@ impl core::fmt::Display for PinsError {
             ),
             PinsError::Differs(at) => write!(
                 f,
-                "what was read back differs from the file at {at:#08x}; give the command again; if it stays so the flash is worn out. The configuration before stays in force"
+                "what was read back differs from the file at {at:#08x}; give the command again; if it stays so the flash is worn out. The configuration in force stays so"
             ),
             PinsError::Gone {
                 address,
@@ -99,7 +106,7 @@ impl core::fmt::Display for PinsError {
                 waited,
             } => write!(
                 f,
-                "the configuration is written and the board was told to restart, but {address} has not answered for {:.0} s; power it off and on",
+                "the configuration is written and the board was told to restart, but {address} has not answered for {:.0} s; power it off and on, then {AGAIN}",
                 waited.as_secs_f64()
             ),
             PinsError::Gone {
@@ -108,18 +115,24 @@ impl core::fmt::Display for PinsError {
                 waited,
             } => write!(
                 f,
-                "the configuration is written and the board was told to restart, but it has answered neither at {address} nor, as the file has it, at {moved} for {:.0} s; give this computer an address in that net (ferrocnc discover shows the board)",
+                "the configuration is written and the board was told to restart, but it has answered neither at {address} nor, as the file has it, at {moved} for {:.0} s; give this computer an address in that net (ferrocnc discover shows the board), then {AGAIN}",
                 waited.as_secs_f64()
             ),
             PinsError::Unused(loaded) => write!(
                 f,
-                "the configuration is written, and the board does not use it: {}; {}",
+                "the configuration is written, and the board does not use it: {}; {}, then {AGAIN}",
                 loaded.verdict, remedy(loaded.verdict)
             ),
-            PinsError::Second(why) => write!(
-                f,
-                "the configuration is in force, but its second copy is not written: {why}. Give the command again"
-            ),
+            PinsError::Second { moved, why } => {
+                f.write_str("the configuration is in force")?;
+                if let Some(moved) = moved {
+                    write!(f, ", the board is at {moved} now, as the file has it")?;
+                }
+                write!(
+                    f,
+                    ", but its second copy is not written, so give the command again ({why})"
+                )
+            }
         }
     }
 }
@@ -320,7 +333,10 @@ impl<'t> Copies<'t> {
         let before = self.layout.pins_copy(1 - copy);
         self.follow(moved)
             .and_then(|()| self.replace(before, bytes))
-            .map_err(|why| PinsError::Second(Box::new(why)))?;
+            .map_err(|why| PinsError::Second {
+                moved,
+                why: Box::new(why),
+            })?;
         Ok(Report {
             copy,
             generation,
@@ -334,7 +350,7 @@ impl<'t> Copies<'t> {
     fn follow(&mut self, moved: Option<SocketAddrV4>) -> Result<(), PinsError> {
         if let Some(socket) = moved {
             let tell = self.tell;
-            let client = Client::open(&at(socket))?;
+            let client = self.flasher.client().elsewhere(&at(socket))?;
             self.flasher = Flasher::new(client, self.patience, |word| tell(Event::Word(word)));
         }
         Ok(self.flasher.may_write()?)

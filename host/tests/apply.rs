@@ -183,7 +183,7 @@ fn a_cut_after_any_operation_leaves_the_old_file_in_force_or_the_new_one() {
         board.look().flash.silent_after = Some(cut);
         let said = applied(&board, "mill6", Duration::from_millis(250)).unwrap_err();
         let (told, said) = match said {
-            PinsError::Second(said) => (true, *said),
+            PinsError::Second { why, .. } => (true, *why),
             said => (false, said),
         };
         let lost = matches!(
@@ -297,6 +297,11 @@ fn a_board_with_a_key_takes_a_file_only_from_its_owner() {
         right,
     ]);
     assert_eq!(board.look().channels.stepgens, 6);
+    // Where the board is after it has moved, the client has the key, too.
+    let keys = ferrocnc::keys::Keys::named(Some(Path::new(right)));
+    let here = client(&board).with_keys(keys);
+    let mut there = here.elsewhere(here.address()).unwrap();
+    there.acquire().unwrap();
     std::fs::remove_dir_all(&home).unwrap();
 }
 
