@@ -363,6 +363,27 @@ fn without_a_file_the_installed_image_for_the_boards_card_is_written() {
 }
 
 #[test]
+fn a_card_whose_pins_are_configured_gets_its_own_image_and_never_that_of_a_board_file() {
+    let board = FakeBoard::mill6(Time::Lockstep(60_000));
+    board.look().flash.looks = 0;
+    let eight = wire::pins::Built {
+        stepgens: 8,
+        encoders: 8,
+        pwms: 8,
+        lines: 56,
+    };
+    board.look().become_image(eight, "5a-75b-8.0");
+    let fixed = ("mill6", "5a-75b-8.0");
+    let images = packaged("update-fixed", &[fixed]);
+    let said = complaint(&["update", &board.text(), "--images", &images]);
+    assert!(said.contains("is 5a-75b-8.0 for 5a-75b-8.0"), "{said}");
+    let images = packaged("update-card", &[fixed, ("5a-75b-8.0", "5a-75b-8.0")]);
+    let said = answer(&["update", &board.text(), "--images", &images]);
+    let wanted = "slot A holds 5a-75b-8.0 on 5a-75b-8.0";
+    assert!(said.contains(wanted), "{said}");
+}
+
+#[test]
 fn without_an_installed_image_or_a_card_an_update_says_what_to_do() {
     let board = FakeBoard::mill6(Time::Lockstep(60_000));
     let update = |images: &str| complaint(&["update", &board.text(), "--images", images]);

@@ -100,7 +100,12 @@ fn installed(folder: &Path, configuration: Option<&str>, client: &mut Client) ->
             "the board does not say which card it is; name a file: ferrocnc update BOARD NAME.bit"
         );
     };
-    let board = configuration.or_else(|| said(Kind::Configuration));
+    // An image whose pins are configured has the name of its card, whatever is applied to it.
+    let runs = match identity.has_configured_pins() {
+        true => Some(card),
+        false => said(Kind::Configuration),
+    };
+    let board = configuration.or(runs);
     Ok(images::of_card(folder, card, board)?.with_extension("bit"))
 }
 
