@@ -527,7 +527,7 @@ impl<D: Device> Server<D> {
             "" => String::new(),
             "help" => format!(
                 "freeze-cpu [0|1], ext-reset [0|1], gpio-in MASK, ping, run CLOCKS, run-ms MS, \
-                 wait-for-host US, mode free|lockstep NS, fault [WORDS], drop-to-board N, drop-from-board N, pins, counts, stats, report, quit; WORDS of fault: {WORDS}"
+                 wait-for-host US, mode lockstep NS, fault [WORDS], drop-to-board N, drop-from-board N, pins, counts, stats, report, quit; WORDS of fault: {WORDS}"
             ),
             "fault" => self.fault(line.trim_start().trim_start_matches("fault")),
             "freeze-cpu" => match level(rest) {
@@ -568,7 +568,7 @@ impl<D: Device> Server<D> {
                 }
                 None => "error: wait-for-host takes microseconds, 0 for not at all".into(),
             },
-            "mode" => self.change_mode(&words[1..]),
+            "mode" => self.begin_lockstep(&words[1..]),
             "drop-to-board" | "drop-from-board" => match rest.and_then(|t| number(t)) {
                 Some(n) if words[0] == "drop-to-board" => {
                     let faults = self.rig.faults();
@@ -612,19 +612,23 @@ impl<D: Device> Server<D> {
         }
     }
 
-    /// From here on time passes in this way.
-    fn change_mode(&mut self, words: &[&str]) -> String {
-        let nanoseconds = words.get(1).and_then(|ns| ns.parse().ok());
-        self.options.mode = match (words, nanoseconds) {
-            (["free"], _) => Mode::Free { pace: None },
-            (["lockstep", _], Some(ns @ 1..)) => Mode::Lockstep {
-                period: self.rig.clocks(Duration::from_nanos(ns)),
-            },
-            _ => return "error: mode takes free, or lockstep and nanoseconds".into(),
+    /// From here on time passes with the exchanges, as if the board had begun so.
+    fn begin_lockstep(&mut self, words: &[&str]) -> String {
+        let period = match words {
+            ["lockstep", ns] => ns.parse().map(Duration::from_nanos),
+            _ => return "error: mode takes lockstep and nanoseconds".into(),
         };
+        let period = period.map_or(0, |period| self.rig.clocks(period));
+        if period == 0 {
+            return "error: a period of lockstep is nanoseconds, a clock or more".into();
+        }
+        if self.options.tap.is_some() {
+            return "error: a board on a cable has no lockstep: any program may ask it".into();
+        }
+        self.options.mode = Mode::Lockstep { period };
         self.period_end = self.rig.clock();
-        (self.last_exchange, self.exchanger, self.pace_from) = (None, None, None);
-        format!("ok clock={} mode={}", self.rig.clock(), words[0])
+        (self.last_exchange, self.exchanger) = (None, None);
+        format!("ok clock={} mode=lockstep", self.rig.clock())
     }
 
     fn told_pins(&self) -> String {
