@@ -172,6 +172,7 @@ class Design:
         for channels in (board[k] for k in ("stepgen", "encoder", "pwm", "gpio_in", "gpio_out")):
             sum_.update(repr([{k: v for k, v in c.items() if k != "name"} for c in channels]).encode())
         sum_.update(repr(sorted((k, v) for k, v in board.items() if not isinstance(v, list))).encode())
+        sum_.update(repr(self.board.lines).encode())
         sum_.update(repr(sorted((k, v) for k, v in vars(self.board.platform).items() if k != "file")).encode())
         sum_.update(repr((len(self.board.blob), self.pins, self._tools())).encode())
         return sum_.hexdigest()
@@ -422,6 +423,12 @@ class Options:
 
 def bitstreams(subjects, root, options, report=None, document=None, prove=False):
     """Builds what is asked for. Returns the process's exit code: not 0 if one of them failed."""
+    if document:
+        try:  # now rather than after hours
+            with_table(Path(document).read_text(encoding="utf-8"), subjects[0].kind, "")
+        except (BuildError, OSError) as e:
+            print(f"error: {document} cannot take the table: {e}", file=sys.stderr)
+            return 1
     root = Path(root).resolve()
     root.mkdir(parents=True, exist_ok=True)
     watch, found, failed, proven = Watch(root, options.jobs), {}, {}, []
