@@ -1,8 +1,6 @@
-//! What the package `ferrocnc-images` takes of `target/bitstream`: one folder per card that `cargo
-//! xtask images` has built, one per board file that `cargo xtask bitstream` has built, and SHA-256
-//! sums of all.
+//! What the package `ferrocnc-images` takes of `target/bitstream`: one folder per board file that
+//! `cargo xtask bitstream` has built, and SHA-256 sums of all.
 
-use crate::build::IMAGES;
 use crate::{root, setup, tree};
 use anyhow::{Context, Result};
 use std::fs;
@@ -30,7 +28,7 @@ impl Gathered {
         let missing = self.missing.join(", ");
         match (self.found.is_empty(), self.missing.is_empty()) {
             (true, _) => format!(
-                "no package of images: target/bitstream has those of no board; `cargo xtask images` or `cargo xtask bitstream boards/NAME.toml` builds them ({missing})"
+                "no package of images: target/bitstream has those of no board; `cargo xtask bitstream --all` or `cargo xtask bitstream boards/NAME.toml` builds them ({missing})"
             ),
             (false, true) => format!("images of all {} boards", self.found.len()),
             (false, false) => format!(
@@ -43,30 +41,27 @@ impl Gathered {
 
 /// Copies the images, and writes their sums. Without any the folder is not made.
 pub fn gather(from: &Path, to: &Path) -> Result<Gathered> {
-    let mut names = IMAGES.map(str::to_owned).to_vec();
+    let (mut found, mut missing) = (Vec::new(), Vec::new());
     for file in tree::with_ending(&root().join("boards"), "toml")? {
         let in_a_folder = file.parent().is_some_and(|folder| folder != Path::new(""));
         let name = file.file_stem().context("a name")?.to_string_lossy();
-        if !in_a_folder && name != WITHOUT {
-            names.push(name.into_owned());
-        }
-    }
-    let (mut found, mut missing) = (Vec::new(), Vec::new());
-    for name in names {
-        let folder = from.join(&name);
-        let files = FILES.map(|end| format!("{name}{end}"));
-        if !files.iter().all(|file| folder.join(file).is_file()) {
-            missing.push(name);
+        if in_a_folder || name == WITHOUT {
             continue;
         }
-        let copies = to.join(&name);
+        let folder = from.join(&*name);
+        let files = FILES.map(|end| format!("{name}{end}"));
+        if !files.iter().all(|file| folder.join(file).is_file()) {
+            missing.push(name.into_owned());
+            continue;
+        }
+        let copies = to.join(&*name);
         fs::create_dir_all(&copies)?;
         let texts = format!("{name}{TEXTS}");
         let there = folder.join(&texts).is_file();
         for file in files.into_iter().chain(there.then_some(texts)) {
             fs::copy(folder.join(&file), copies.join(&file)).with_context(|| file.clone())?;
         }
-        found.push(name);
+        found.push(name.into_owned());
     }
     if !found.is_empty() {
         fs::write(to.join("SHA256SUMS"), sums(to)?)?;
