@@ -27,8 +27,9 @@
 //! description is a [`crate::board`] blob and takes the place of the image's own.
 //!
 //! There are two copies in flash ([`crate::flash::Layout::pins_copy`]). The one with the higher
-//! generation of the whole ones is in force from the next start on. A client writes the other one,
-//! its first page last, so a power cut at any moment leaves the old or the new one.
+//! generation of the whole ones is in force from the next start on, of equal ones copy 0. A client
+//! writes the other one, its first page last, so a power cut at any moment leaves the old or the
+//! new one. When the new one is in force the client writes the same over the old one.
 
 use crate::codes::codes;
 use crate::crc::Crc32;
