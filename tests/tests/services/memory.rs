@@ -50,7 +50,10 @@ fn moves_on(
     let shown = machine.exchange_and_wait(&mut command).state.services;
     let told = state(machine);
     let right = [before, told].contains(&shown);
-    assert!(right, "{what}: HAL shows {shown:?} between {before:?} and {told:?}");
+    assert!(
+        right,
+        "{what}: HAL shows {shown:?} between {before:?} and {told:?}"
+    );
     machine.release();
     (told, worst)
 }
