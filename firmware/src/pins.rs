@@ -99,6 +99,7 @@ impl Pins {
             };
         }
         if verdict == Verdict::InForce {
+            self.forget_modes(board, start);
             for (which, level) in LEVELS.into_iter().zip(self.head.levels()) {
                 board.set(Setting::Board(which), *level);
             }
@@ -124,6 +125,26 @@ impl Pins {
         let words = board.blob(BLOB_LENGTH_AT) / 4;
         ident.blob_words = words.min(BOARD_ROM_SIZE as u32 / 4);
         (Loaded { verdict, copy }, factory)
+    }
+
+    /// A restart keeps the settings of the cores, and a PWM that another file's host had inverted
+    /// would rest high: with another description than the start before has left, all modes are those
+    /// of power-up. With the same one they stay, so no line changes.
+    #[cold]
+    #[inline(never)]
+    fn forget_modes<B: Board>(&self, board: &mut B, copy: u32) {
+        let mut crc = [0];
+        let at = copy + 4 * (HEAD_WORDS + BLOB_CRC_AT) as u32;
+        let read = Nor(board.spi()).words(at, &mut crc);
+        if read.is_ok() && crc == [board.blob(BLOB_CRC_AT)] {
+            return;
+        }
+        for stepgen in 0..self.built.stepgens {
+            board.set(Setting::Stepgen(stepgen, StepgenConfig::Mode), 0);
+        }
+        for pwm in 0..self.built.pwms {
+            board.set(Setting::PwmMode(pwm), 0);
+        }
     }
 
     /// All routes, and the levels that follow from them. A line that an earlier start has driven

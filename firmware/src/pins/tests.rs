@@ -98,7 +98,12 @@ fn described(rig: &mut Rig) -> Vec<u32> {
 
 /// As it lies in flash.
 fn stored(head: &Head, generation: u32) -> Vec<u8> {
-    let description = description(&ENTRIES);
+    described_as(head, generation, &ENTRIES)
+}
+
+/// With another description.
+fn described_as(head: &Head, generation: u32, entries: &[(u8, &[u8])]) -> Vec<u8> {
+    let description = description(entries);
     let mut words = head.0;
     let bytes = 4 * HEAD_WORDS + description.len();
     words[..3].copy_from_slice(&[MAGIC, VERSION, bytes as u32]);
@@ -239,6 +244,30 @@ fn a_restart_lets_go_of_no_line_and_a_start_without_a_configuration_of_all() {
     let mut board = rig.board;
     board.factory = true;
     assert_eq!(drives(&started(board)), [0]);
+}
+
+#[test]
+fn a_pwm_that_was_inverted_rests_high_behind_a_restart_and_not_with_another_file() {
+    let modes = [
+        Setting::Stepgen(0, StepgenConfig::Mode),
+        Setting::PwmMode(0),
+        Setting::PwmMode(7),
+    ];
+    let told = |rig: &mut Rig| modes.map(|mode| rig.board.setting(mode));
+    let high = |rig: &Rig| bit(rig, pinmux_out::SAFE0, 2);
+    let other = described_as(&example(), 2, &[ENTRIES[0], (LIST, b"sx step=j1:0\nx")]);
+
+    let mut rig = started(board([Some(&stored(&example(), 1)), None]));
+    for mode in modes {
+        rig.board.set(mode, map::PWM_INVERT);
+    }
+    let mut rig = started(rig.board);
+    assert_eq!((told(&mut rig), high(&rig)), ([map::PWM_INVERT; 3], true));
+    let mut board = rig.board;
+    board.chip.put(layout().pins_copy(1).start, &other);
+    let mut rig = started(board);
+    assert_eq!(loaded(&mut rig), (Verdict::InForce, Some(1)));
+    assert_eq!((told(&mut rig), high(&rig)), ([0; 3], false));
 }
 
 #[test]
