@@ -21,7 +21,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from . import ecp5, image, netlist, regmap as rm, rgmii, settled, soc as ferro, tools
-from .board import BoardError, pins_missing, read_board
+from .board import BoardError, PlatformImage, pins_missing, read_board
 
 TOP = "top"
 _GATEWARE = Path(__file__).resolve().parents[1]
@@ -566,6 +566,8 @@ BEFORE = {
     "mill6": {"lut4": 9844, "ccu2c": 1294, "ff": 8791, "ebr": 55, "dsp": 4, "trellis_comb": 13810},
     "max": {"lut4": 14108, "ccu2c": 2414, "ff": 16468, "ebr": 55, "dsp": 4, "trellis_comb": 19906},
 }
+# The image that is measured.
+IMAGE = "5a-75b-8.0"
 AVAILABLE = 24_288  # TRELLIS_COMB of an LFE5U-25F
 _COLUMNS = (("LUT4", "lut4"), ("CCU2C", "ccu2c"), ("FF", "ff"), ("EBR", "ebr"), ("DSP", "dsp"), ("COMB", "trellis_comb"))
 
@@ -587,13 +589,16 @@ def bench(root, out, report=None, seed=None, document=None):
         script = f"read_verilog -sv {sources}; {ecp5.ABC9_AREA}; synth_ecp5 -top {source.stem} -json {TOP}.json"
         tools.run("yosys", ["-q", "-p", script], folder, "yosys.log", [ferro.RTL.resolve()])
         cores[source.stem] = netlist.trim(folder / f"{TOP}.json") | _packed(folder, ("--25k", "--package", "CABGA256", "--speed", "6"))
-    for name in ("none", "mill6", "max"):
-        board = read_board(root / "boards" / f"{'max' if name == 'none' else name}.toml")
+    for name in ("none", "mill6", "max", IMAGE):
+        if name == IMAGE:
+            board = PlatformImage(name, None).read()
+        else:
+            board = read_board(root / "boards" / f"{'max' if name == 'none' else name}.toml")
         if name == "none":
             for kind in ("stepgen", "encoder", "pwm", "gpio_in", "gpio_out"):
                 setattr(board, kind, [])
         folder = out / name
-        _bare_synthesis(board, name == "mill6", folder)
+        _bare_synthesis(board, name in ("mill6", IMAGE), folder)
         boards[name] = netlist.trim(folder / f"{TOP}.json") | _packed(folder, ("--lpf", f"{TOP}.lpf", *_device(board)))
         if seed is not None and name != "none":
             boards[name]["clocks"] = _clocks(board, place(board, folder, seed, "--lpf-allow-unconstrained"))
@@ -618,7 +623,9 @@ placer has to find room for, and the figure to compare.
 
 A core is measured alone; `wide_counter`, `edges` and `gpio` are there once for all channels (16,
 16, 64 + 64), each encoder has two `debounce` inside, each encoder and each step generator a `latch`
-beside it. `segments` (3 axes) is on boards with jobs only. `max` has no pins on a 5A-75B: its
+beside it. `segments` (3 axes) is on boards with jobs only. The multiplexer of an image is
+`pinmux_out` and `pinmux_in`, here of 56 lines with 36 sources and 48 sinks; `crossbar` and
+`truth_table` are parts of both, and `estops` is on images only. `max` has no pins on a 5A-75B: its
 inputs come from a shift register behind one pad and its outputs leave as a parity through another,
 so that nothing is optimised away (about 40 LUTs). It is packed here, and does not route
 ([timing](timing.md)).
@@ -649,14 +656,18 @@ def size_tables(cores, boards):
     for name, what in (("none", "no channel: CPU, MAC, memories, timebase, watchdog"), ("mill6", "mill6: 6 + 6 + 6, 12 + 12"), ("max", "max: 16 + 16 + 16, 64 + 64")):
         yield row(what, boards[name])
         yield row(f"{what.partition(':')[0]}, before", BEFORE[name])
+    yield row(f"{IMAGE}, the image: 8 + 8 + 8, 56 + 56, jobs, multiplexer", boards[IMAGE])
+    mux = {key: cores["pinmux_out"][key] + cores["pinmux_in"][key] for _, key in _COLUMNS}
+    yield row("of the image, its multiplexer alone", mux)
     sets = rm.MAX_STEPGEN
     yield row("of max, per step generator + encoder + PWM + 2 inputs + 2 outputs, banks included",
               {key: round((boards["max"][key] - boards["none"][key]) / sets) for _, key in _COLUMNS})
     for name, c in PEERS.items():
         yield row(name, c) if c else f"| {name} | " + " | ".join("not measured" for _ in _COLUMNS) + " |"
-    free = AVAILABLE - boards["max"]["trellis_comb"]
     yield ""
-    yield f"`max` leaves {free:,} of {AVAILABLE:,} COMB free: {free / AVAILABLE:.1%}.".replace(",", " ")
+    for name in ("max", IMAGE):
+        free = AVAILABLE - boards[name]["trellis_comb"]
+        yield f"`{name}` leaves {free:,} of {AVAILABLE:,} COMB free: {free / AVAILABLE:.1%}.".replace(",", " ")
     routed = {name: b for name, b in boards.items() if "clocks" in b}
     if routed:
         yield ""
