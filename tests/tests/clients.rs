@@ -3,12 +3,13 @@
 use ferrocnc_tests::flash::{FIRST, SECOND, UID, factory, followed_by};
 use ferrocnc_tests::hal::out;
 use ferrocnc_tests::services::small;
-use ferrocnc_tests::{BenchMachine, Simulator, wired};
+use ferrocnc_tests::{BenchMachine, Simulator, control, wired};
 use host::client::Client;
 use host::driver::Driver;
 use host::hal::fake::FakeHal;
 use host::link::Link;
 use sim::nor::Part;
+use std::net::SocketAddr;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -229,6 +230,7 @@ const PATIENCE: usize = 500;
 struct Shop {
     hal: FakeHal,
     driver: Driver,
+    simulator: SocketAddr,
 }
 
 impl Shop {
@@ -246,7 +248,11 @@ impl Shop {
         hal.set("ferrocnc.0.packet-read-timeout", 2_000_000_000);
         hal.set("ferrocnc.0.enable", true);
         let driver = driver.expect("pins");
-        Shop { hal, driver }
+        Shop {
+            hal,
+            driver,
+            simulator: simulator.control(),
+        }
     }
 
     fn enabled(&self) -> bool {
@@ -267,8 +273,10 @@ impl Shop {
             }
             self.driver.read(1_000_000);
             self.driver.write(1_000_000);
-            // It asks for its session and does not wait for the answer.
+            // It asks for its session and does not wait for the answer, and a question makes the
+            // one before void: the simulator has done with this one when it answers here.
             std::thread::sleep(Duration::from_millis(2));
+            control(self.simulator, "stats");
         }
         let number = |pin: &str| self.hal.get::<u32>(&format!("ferrocnc.0.{pin}"));
         let seen = [
