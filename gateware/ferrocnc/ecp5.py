@@ -50,6 +50,11 @@ _FERRY = (("ferry_in", 0, Pins("X"), *_IN), ("ferry_out", 0, Pins("X"), *_OUT))
 SDRAM_PHASE = 120
 
 
+# Balls of a package whose pads have no bits for their registers in prjtrellis' database: nextpnr
+# places them, and ecppack ends. M9 is the pad of the tile R50C18:SPICB0.
+_BARE = {"CABGA256": {"M9"}}
+
+
 class _PadRegisters(Module):
     """A bidirectional pad with its three registers in the pad: LiteX would leave the one for the
     direction in the fabric."""
@@ -174,7 +179,7 @@ class BoardSoC(ferro.FerroSoC):
             self.specials += Instance("BB", i_I=1, i_T=1, io_B=platform.request("phy_reset"), o_O=Signal())
         self.comb += platform.request("led").eq(pads.led ^ int(board.platform.led_active_low))
         if board.lines:
-            self._lines(platform, pads)
+            self._lines(platform, board, pads)
             self._flash(platform, board, pads)
             return
         # Without a pin there is no external reset; the core inverts the idle level if the file says
@@ -187,16 +192,17 @@ class BoardSoC(ferro.FerroSoC):
             self.comb += pads.factory.eq((reset if pin == board.ext_reset_pin else platform.request("factory")) ^ int(active_low))
         self._flash(platform, board, pads)
 
-    def _lines(self, platform, pads):
-        """The header lines of an image. Level and direction are registered in the pad, and power up
-        so that it does not drive; all lines have the same delay."""
+    def _lines(self, platform, board, pads):
+        """The header lines of an image. Level and direction are registered in the pad, or near it,
+        and power up so that it does not drive; all lines have the same delay in clocks."""
         clk = ClockSignal()
         for n, (level, drives, seen) in enumerate(zip(pads.line_levels, pads.line_drives, pads.line_seen)):
-            out, off = Signal(reset=1), Signal(reset=1)
-            self.specials += [
-                SDROutput(level, out, clk), SDROutput(~drives, off, clk),
-                Instance("TRELLIS_IO", p_DIR="BIDIR", io_B=platform.request("line", n), i_I=out, i_T=off, o_O=seen),
-            ]
+            out, off = Signal(reset=1, reset_less=True), Signal(reset=1, reset_less=True)
+            if board.lines[n][1] in _BARE.get(board.platform.package, ()):
+                self.sync += [out.eq(level), off.eq(~drives)]
+            else:
+                self.specials += [SDROutput(level, out, clk), SDROutput(~drives, off, clk)]
+            self.specials += Instance("TRELLIS_IO", p_DIR="BIDIR", io_B=platform.request("line", n), i_I=out, i_T=off, o_O=seen)
         self.comb += pads.key.eq(platform.request("key"))
 
     def _driven(self, pad, level, seen):

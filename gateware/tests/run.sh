@@ -23,7 +23,7 @@ if [ -z "${VERILATOR:-}" ]; then
 fi
 
 failed=0
-for test in abi board bitstream netlist proofs router streamed; do
+for test in abi board bitstream netlist pads proofs router streamed; do
     [ -z "$only" ] || [ "$only" = "$test" ] || continue
     [ "$test" != router ] || (cd "$root" && cargo build --quiet --release --package ferrocnc-router)
     "$root/target/venv/bin/python" "$here/${test}_test.py" || failed=1
