@@ -5,7 +5,7 @@ mod common;
 #[path = "common/tool.rs"]
 mod tool;
 
-use common::{FakeBoard, Time};
+use common::{EIGHT, FakeBoard, Time};
 use ferrocnc::address;
 use ferrocnc::client::{Client, ClientError};
 use ferrocnc::flash::FlashError;
@@ -20,12 +20,6 @@ use wire::State;
 use wire::flash::{Op, Origin, PAGE};
 use wire::pins::{Built, Loaded, Verdict};
 
-const EIGHT: Built = Built {
-    stepgens: 8,
-    encoders: 8,
-    pwms: 8,
-    lines: 56,
-};
 const HERE: Verdict = Verdict::InForce;
 
 fn file(name: &str) -> PathBuf {
@@ -40,14 +34,6 @@ fn path(name: &str) -> String {
 
 fn text(name: &str) -> String {
     std::fs::read_to_string(file(name)).unwrap()
-}
-
-/// A board with an image of the 5A-75B 8.0, at the address that the board files have.
-fn board() -> FakeBoard {
-    let board = FakeBoard::mill6(Time::Lockstep(60_000));
-    board.look().flash.looks = 0;
-    board.look().become_image(EIGHT, "5a-75b-8.0");
-    board
 }
 
 fn client(board: &FakeBoard) -> Client {
@@ -85,7 +71,7 @@ fn stored(board: &FakeBoard) -> String {
 
 #[test]
 fn a_board_without_a_file_gets_one_and_gives_it_back_with_its_comments() {
-    let board = board();
+    let board = FakeBoard::card();
     assert_eq!(board.look().channels.stepgens, 0);
     let said = answer(&["config", "apply", &board.text(), &path("mill6")]);
     for part in [
@@ -110,7 +96,7 @@ fn a_board_without_a_file_gets_one_and_gives_it_back_with_its_comments() {
 
 #[test]
 fn the_next_file_goes_beside_the_one_in_force_and_a_third_over_the_first() {
-    let board = board();
+    let board = FakeBoard::card();
     for (n, name) in ["mill6", "plotter", "75b_v8_26o23i6p"].iter().enumerate() {
         let report = apply(&board, name).unwrap();
         assert_eq!(
@@ -129,7 +115,7 @@ fn the_next_file_goes_beside_the_one_in_force_and_a_third_over_the_first() {
 
 #[test]
 fn the_first_page_is_programmed_last_and_then_the_whole_is_summed_up() {
-    let board = board();
+    let board = FakeBoard::card();
     apply(&board, "mill6").unwrap();
     let start = board.look().flash.layout().pins_copy(0).start;
     let done = board.look().flash.done.clone();
@@ -153,7 +139,7 @@ fn the_first_page_is_programmed_last_and_then_the_whole_is_summed_up() {
 
 #[test]
 fn a_page_that_wears_out_after_an_apply_brings_no_file_of_before_back() {
-    let board = board();
+    let board = FakeBoard::card();
     apply(&board, "plotter").unwrap();
     let report = apply(&board, "mill6").unwrap();
     {
@@ -171,14 +157,14 @@ fn a_page_that_wears_out_after_an_apply_brings_no_file_of_before_back() {
 
 #[test]
 fn a_cut_after_any_operation_leaves_the_old_file_in_force_or_the_new_one() {
-    let whole = board();
+    let whole = FakeBoard::card();
     apply(&whole, "plotter").unwrap();
     let before = whole.look().flash.done.len() as u32;
     apply(&whole, "mill6").unwrap();
     let operations = whole.look().flash.done.len() as u32 - before;
     let mut seen = [0, 0];
     for cut in 1..operations {
-        let board = board();
+        let board = FakeBoard::card();
         apply(&board, "plotter").unwrap();
         board.look().flash.silent_after = Some(cut);
         let said = applied(&board, "mill6", Duration::from_millis(250)).unwrap_err();
@@ -207,7 +193,7 @@ fn a_cut_after_any_operation_leaves_the_old_file_in_force_or_the_new_one() {
 
 #[test]
 fn a_first_page_of_which_only_the_beginning_was_programmed_is_no_file() {
-    let board = board();
+    let board = FakeBoard::card();
     apply(&board, "plotter").unwrap();
     let before = board.look().flash.bytes.clone();
     apply(&board, "mill6").unwrap();
@@ -231,7 +217,7 @@ fn a_first_page_of_which_only_the_beginning_was_programmed_is_no_file() {
 
 #[test]
 fn what_was_cut_off_is_written_again_by_the_same_command() {
-    let board = board();
+    let board = FakeBoard::card();
     apply(&board, "plotter").unwrap();
     board.look().flash.silent_after = Some(20);
     apply(&board, "mill6").unwrap_err();
@@ -242,7 +228,7 @@ fn what_was_cut_off_is_written_again_by_the_same_command() {
 
 #[test]
 fn generations_go_on_past_their_end() {
-    let board = board();
+    let board = FakeBoard::card();
     let wanted = read_board(&file("mill6")).unwrap();
     let bytes = configuration(&wanted, &text("mill6"), EIGHT, u32::MAX).unwrap();
     {
@@ -258,7 +244,7 @@ fn generations_go_on_past_their_end() {
 
 #[test]
 fn an_armed_or_driven_board_is_refused_and_nothing_is_erased() {
-    let board = board();
+    let board = FakeBoard::card();
     board.look().state = State::Armed;
     let said = complaint(&["config", "apply", &board.text(), &path("mill6")]);
     assert!(said.contains("the machine is armed"), "{said}");
@@ -272,7 +258,7 @@ fn an_armed_or_driven_board_is_refused_and_nothing_is_erased() {
 
 #[test]
 fn a_board_with_a_key_takes_a_file_only_from_its_owner() {
-    let board = board();
+    let board = FakeBoard::card();
     let key = ferrocnc::keys::Key::random().unwrap();
     board.look().flash.settings.key = key.words();
     board.look().key = Some(key);
@@ -307,7 +293,7 @@ fn a_board_with_a_key_takes_a_file_only_from_its_owner() {
 
 #[test]
 fn a_file_for_another_image_is_refused_before_the_board_is_touched() {
-    let board = board();
+    let board = FakeBoard::card();
     let few = Built {
         stepgens: 4,
         ..EIGHT
@@ -357,7 +343,7 @@ fn a_board_with_fixed_pins_says_so_and_what_to_do() {
 
 #[test]
 fn a_board_that_does_not_use_what_was_written_is_found_out() {
-    let board = board();
+    let board = FakeBoard::card();
     board.look().pins.as_mut().unwrap().factory = true;
     let said = apply(&board, "mill6").unwrap_err();
     assert!(
@@ -376,7 +362,7 @@ fn a_board_that_does_not_use_what_was_written_is_found_out() {
 
 #[test]
 fn a_flash_that_does_not_hold_a_bit_is_found_out_and_the_file_before_stays() {
-    let board = board();
+    let board = FakeBoard::card();
     apply(&board, "plotter").unwrap();
     let weak = board.look().flash.layout().pins_copy(1).start + 2 * PAGE + 5;
     board.look().flash.weak = Some(weak);
@@ -388,7 +374,7 @@ fn a_flash_that_does_not_hold_a_bit_is_found_out_and_the_file_before_stays() {
 
 #[test]
 fn a_board_that_stays_where_it_was_is_found_there_though_the_file_has_another_address() {
-    let board = board();
+    let board = FakeBoard::card();
     let mut client = client(&board);
     let facts = Facts::read(&mut client).unwrap();
     let wanted = read_board(&file("mill6")).unwrap();
@@ -407,7 +393,7 @@ fn a_board_that_stays_where_it_was_is_found_there_though_the_file_has_another_ad
 
 #[test]
 fn a_file_is_read_to_a_file_and_never_over_another_one() {
-    let board = board();
+    let board = FakeBoard::card();
     let said = complaint(&["config", "read", &board.text()]);
     assert!(
         said.contains("no configuration of the pins is stored"),
@@ -429,7 +415,7 @@ fn a_file_is_read_to_a_file_and_never_over_another_one() {
 
 #[test]
 fn a_command_without_a_file_says_how_it_is_meant() {
-    let board = board();
+    let board = FakeBoard::card();
     let said = complaint(&["config", "apply", &board.text()]);
     assert!(
         said.contains("ferrocnc config apply BOARD FILE.toml"),

@@ -6,8 +6,8 @@ mod common;
 #[path = "common/tool.rs"]
 mod tool;
 
-use common::FakeBoard;
 use common::rig::{LOCKSTEP, Rig, load_with};
+use common::{EIGHT, FakeBoard};
 use ferrocnc::client::Client;
 use ferrocnc::hal::fake::FakeHal;
 use ferrocnc::names::{self, Scheme};
@@ -16,15 +16,9 @@ use ferrocnc_config::pins::configuration;
 use ferrocnc_config::source::Folder;
 use tool::{answer, complaint};
 use wire::map;
-use wire::pins::{Built, Verdict};
+use wire::pins::Verdict;
 
 const MILL6: &str = include_str!("../../boards/mill6.toml");
-const EIGHT: Built = Built {
-    stepgens: 8,
-    encoders: 8,
-    pwms: 8,
-    lines: 56,
-};
 // Lines of mill6: j8 begins at 42, j4 at 18, the shared lines at 48.
 const LIMIT_X: u32 = 44;
 const PROBE: u32 = 50;

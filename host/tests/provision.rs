@@ -364,15 +364,7 @@ fn without_a_file_the_installed_image_for_the_boards_card_is_written() {
 
 #[test]
 fn a_card_whose_pins_are_configured_gets_its_own_image_and_never_that_of_a_board_file() {
-    let board = FakeBoard::mill6(Time::Lockstep(60_000));
-    board.look().flash.looks = 0;
-    let eight = wire::pins::Built {
-        stepgens: 8,
-        encoders: 8,
-        pwms: 8,
-        lines: 56,
-    };
-    board.look().become_image(eight, "5a-75b-8.0");
+    let board = FakeBoard::card();
     let fixed = ("mill6", "5a-75b-8.0");
     let images = packaged("update-fixed", &[fixed]);
     let said = complaint(&["update", &board.text(), "--images", &images]);

@@ -33,6 +33,8 @@ pub use description::{MILL6, MILL6_ROW};
 #[allow(unused_imports)]
 pub use knobs::Knobs;
 #[allow(unused_imports)]
+pub use pins::EIGHT;
+#[allow(unused_imports)]
 pub use time::{Script, Time};
 
 pub const CLOCK_HZ: u32 = 60_000_000;

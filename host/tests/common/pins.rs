@@ -1,11 +1,30 @@
 //! The fake board's multiplexer: what its firmware makes of the configuration in its flash.
 
-use super::Mind;
+use super::{FakeBoard, Mind, Time};
 use wire::board::crc32;
 use wire::describe::Channels;
 use wire::flash::is_newer;
 use wire::pins::{Built, HEAD_WORDS, Head, Loaded, Verdict};
 use wire::regmap::{address, ident};
+
+/// The image of the 5A-75B 8.0.
+pub const EIGHT: Built = Built {
+    stepgens: 8,
+    encoders: 8,
+    pwms: 8,
+    lines: 56,
+};
+
+impl FakeBoard {
+    /// A 5A-75B 8.0 whose pins are configured and that has no file yet, at the address that the
+    /// board files have.
+    pub fn card() -> Self {
+        let board = FakeBoard::mill6(Time::Lockstep(60_000));
+        board.look().flash.looks = 0;
+        board.look().become_image(EIGHT, "5a-75b-8.0");
+        board
+    }
+}
 
 /// What an image with configurable pins was built with.
 #[derive(Clone, Copy, Debug)]
