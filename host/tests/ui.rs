@@ -6,12 +6,17 @@ mod common;
 #[path = "common/tool.rs"]
 mod ferrocnc_tool;
 
-use common::{FakeBoard, Time};
+use common::{EIGHT, FakeBoard, Time};
 use ferrocnc_tool::{answer, complaint};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
+use wire::State;
+use wire::flash::Op;
+
+const MILL6: &str = include_str!("../../boards/mill6.toml");
 
 /// A server; it ends with the test.
 struct Ui {
@@ -81,11 +86,28 @@ impl Ui {
     }
 
     fn post(&self, command: &str, body: &Value) -> (u16, String) {
+        self.post_as("application/json", command, &body.to_string())
+    }
+
+    fn post_as(&self, kind: &str, command: &str, body: &str) -> (u16, String) {
         let host = &self.host;
-        let headers =
-            format!("Host: {host}\r\nOrigin: http://{host}\r\nContent-Type: application/json\r\n");
+        let headers = format!("Host: {host}\r\nOrigin: http://{host}\r\nContent-Type: {kind}\r\n");
         let path = format!("/{}/api/{command}", self.token);
-        self.asked("POST", &path, &headers, &body.to_string())
+        self.asked("POST", &path, &headers, body)
+    }
+
+    /// Applies a file called mill6 to a board: what is told meanwhile, and the end.
+    fn applies(&self, board: &str, toml: &str) -> (Vec<Value>, Value) {
+        let command = format!("config/apply?board={board}&name=mill6");
+        let (status, text) = self.post_as("application/octet-stream", &command, toml);
+        assert_eq!(status, 200, "{text}");
+        // Between the objects are the lengths of what is sent as one piece.
+        let lines = text.lines().filter(|line| line.starts_with('{'));
+        let mut lines: Vec<Value> = lines
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect();
+        let end = lines.pop().expect("an end");
+        (lines, end)
     }
 }
 
@@ -108,6 +130,14 @@ fn good((status, text): (u16, String)) -> Value {
 fn refused((status, text): (u16, String)) -> String {
     assert!((400..500).contains(&status), "{status} {text}");
     text
+}
+
+/// An empty folder for one test.
+fn folder(name: &str) -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("ferrocnc-{name}-{}", std::process::id()));
+    let _none = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).unwrap();
+    folder
 }
 
 fn board() -> FakeBoard {
@@ -146,6 +176,11 @@ fn a_foreign_host_origin_or_token_is_refused() {
     let asked = |headers: &str, path: &str| ui.asked("GET", path, headers, "").0;
     let before = board.look().datagrams;
     let path = format!("/{}/api/describe?board={}", ui.token, board.text());
+    let apply = format!(
+        "/{}/api/config/apply?board={}&name=mill6",
+        ui.token,
+        board.text()
+    );
     let host = ui.host_line();
     let port = ui.host.rsplit(':').next().unwrap();
     // A name of the attacker's that leads to 127.0.0.1.
@@ -154,8 +189,10 @@ fn a_foreign_host_origin_or_token_is_refused() {
     for origin in ["http://evil.example", "null", "http://127.0.0.1:1"] {
         let headers = format!("{host}Origin: {origin}\r\n");
         assert_eq!(asked(&headers, &path), 403, "{origin}");
-        let (status, _) = ui.asked("POST", &path, &headers, "{}");
-        assert_eq!(status, 403, "{origin}");
+        for path in [&path, &apply] {
+            let (status, _) = ui.asked("POST", path, &headers, MILL6);
+            assert_eq!(status, 403, "{origin}");
+        }
     }
     let wrong = path.replace(&ui.token, &"0".repeat(ui.token.len()));
     for path in [wrong.as_str(), "/", "/api/discover", "/app.js"] {
@@ -209,8 +246,7 @@ fn a_board_file_is_made_checked_drawn_and_imported_as_by_the_commands() {
     let drawing = good(ui.post("config/pinout", &text));
     assert_eq!(drawing["headers"][0]["pins"].as_array().unwrap().len(), 16);
 
-    let folder = std::env::temp_dir().join(format!("ferrocnc-ui-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
+    let folder = folder("ui");
     let file = folder.join("mine.toml");
     std::fs::write(&file, toml).unwrap();
     let printed = answer(&["config", "pinout", file.to_str().unwrap(), "--json"]);
@@ -258,6 +294,113 @@ fn a_board_file_is_made_checked_drawn_and_imported_as_by_the_commands() {
 }
 
 #[test]
+fn a_file_that_a_page_applies_is_in_force_and_is_read_back_byte_for_byte() {
+    let board = FakeBoard::card();
+    let (ui, at) = (Ui::start(&[]), board.text());
+    // With what a text may lose on its way.
+    let toml = format!("# Fräse\r\n\n{MILL6}\n# no newline at the end");
+    let (told, end) = ui.applies(&at, &toml);
+    for step in ["erasing", "writing", "restarting"] {
+        let is_step = |line: &Value| line["step"] == step && line["part"].is_number();
+        assert!(told.iter().any(is_step), "{step} is not in {told:?}");
+    }
+    assert_eq!(end["done"]["copy"], 0, "{end}");
+    let said = end["text"].as_str().unwrap();
+    let wanted = format!("{at} has the pins of mill6 on ");
+    assert!(said.starts_with(&wanted), "{said}");
+    assert_eq!(board.look().channels.stepgens, 6);
+    let read = good(ui.get(&format!("api/config/read?board={at}")));
+    assert_eq!(read["text"], toml);
+    assert_eq!(
+        (&read["in_force"], &read["note"]),
+        (&json!(true), &Value::Null)
+    );
+    let printed = answer(&["config", "read", &at, "--json"]);
+    assert_eq!(read, serde_json::from_str::<Value>(&printed).unwrap());
+
+    // A file that is not in force is read, too, with the reason.
+    board.look().pins.as_mut().unwrap().factory = true;
+    board.look().power_cycle();
+    let read = good(ui.get(&format!("api/config/read?board={at}")));
+    assert_eq!(read["text"], toml);
+    let note = read["note"].as_str().unwrap();
+    assert!(note.contains("release the factory pin"), "{note}");
+}
+
+#[test]
+fn what_the_commands_refuse_a_page_is_refused_in_their_words_and_nothing_is_changed() {
+    let (card, fixed) = (FakeBoard::card(), board());
+    let ui = Ui::start(&[]);
+    let folder = folder("ui-refused");
+    let file = folder.join("mill6.toml");
+    // The page knows no folder.
+    let in_folder = format!("{}/", folder.display());
+    let sentence = |arguments: &[&str]| {
+        let said = complaint(arguments).replace(&in_folder, "");
+        let said = said.trim_end().trim_start_matches("ferrocnc: ");
+        said.to_owned()
+    };
+    let refused_file = |board: &FakeBoard, toml: &str, part: &str| {
+        std::fs::write(&file, toml).unwrap();
+        let said = sentence(&["config", "apply", &board.text(), file.to_str().unwrap()]);
+        assert!(said.contains(part), "{part} is not in {said}");
+        let (told, end) = ui.applies(&board.text(), toml);
+        assert_eq!(end, json!({ "error": said }));
+        assert_eq!(told, [] as [Value; 0], "{part}");
+    };
+    let twice = MILL6.replacen("\"j1:1\"", "\"j1:0\"", 1);
+    refused_file(&card, &twice, "j1:0");
+    card.look().become_image(EIGHT, "5a-75b-7.0");
+    refused_file(&card, MILL6, "is not the card's, which is 5a-75b-7.0");
+    card.look().become_image(EIGHT, "5a-75b-8.0");
+    card.look().state = State::Armed;
+    refused_file(&card, MILL6, "the machine is armed");
+    card.look().state = State::Disarmed;
+    card.look().knobs.foreign_owner = Some("10.0.0.9:4000".parse().unwrap());
+    refused_file(&card, MILL6, "driven by 10.0.0.9:4000");
+    card.look().knobs.foreign_owner = None;
+    refused_file(
+        &fixed,
+        MILL6,
+        "the pins of this board are part of its image",
+    );
+    for (board, part) in [
+        (&card, "no configuration of the pins"),
+        (&fixed, "part of its image"),
+    ] {
+        let said = sentence(&["config", "read", &board.text()]);
+        assert!(said.contains(part), "{part} is not in {said}");
+        let read = refused(ui.get(&format!("api/config/read?board={}", board.text())));
+        let read: Value = serde_json::from_str(&read).unwrap();
+        assert_eq!(read, json!({ "error": said }));
+        for op in [Op::EraseSector, Op::EraseBlock, Op::Program] {
+            assert_eq!(board.look().flash.count(op), 0, "{op:?}");
+        }
+    }
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn a_page_applies_a_file_to_a_board_with_a_key_only_if_the_server_has_it() {
+    let board = FakeBoard::card();
+    let folder = folder("ui-key");
+    let key = ferrocnc::keys::Key::random().unwrap();
+    board.look().flash.settings.key = key.words();
+    board.look().key = Some(key);
+    let right = folder.join("right.key");
+    ferrocnc::keys::write(&right, &key).unwrap();
+    let (_, end) = Ui::start(&[]).applies(&board.text(), MILL6);
+    let said = end["error"].as_str().unwrap_or_default();
+    assert!(said.contains("key"), "{end}");
+    assert_eq!(board.look().flash.count(Op::EraseSector), 0);
+    let ui = Ui::start(&["--key", right.to_str().unwrap()]);
+    let (_, end) = ui.applies(&board.text(), MILL6);
+    assert_eq!(end["done"]["configuration"], "mill6", "{end}");
+    assert_eq!(board.look().channels.stepgens, 6);
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
 fn what_is_wrong_gets_a_reason() {
     let ui = Ui::start(&[]);
     let wrong = good(ui.post(
@@ -294,6 +437,8 @@ fn what_is_wrong_gets_a_reason() {
     let said = refused(ui.get("api/describe?board=nowhere.invalid.:x"));
     assert!(said.contains("error"), "{said}");
     refused(ui.get("api/describe"));
+    refused(ui.post("config/apply?board=127.0.0.1", &json!({})));
+    refused(ui.get("api/config/read"));
     refused(ui.get("api/discover?wait=soon"));
 }
 

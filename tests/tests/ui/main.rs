@@ -1,6 +1,7 @@
 //! The pages of `ferrocnc ui` in a real browser against the twin. Pictures of them are left in
 //! `target/reports`. Which requests the server answers is tested in `host/tests/ui.rs`.
 
+mod applied;
 mod browser;
 mod change;
 mod pins_moved;

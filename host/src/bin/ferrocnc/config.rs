@@ -10,6 +10,7 @@ mod pins;
 pub(crate) use check::check_text;
 pub(crate) use diff::differences;
 pub(crate) use drawing::{pinout_of, pinout_to_json};
+pub(crate) use pins::{Wanted as Applied, kept};
 
 use crate::consent;
 use crate::hal_file::{self, Rewritten};
@@ -393,7 +394,7 @@ pub(crate) fn target(name: &str, output: Option<&Path>, force: bool) -> Result<P
     let file = match output {
         Some(folder) if folder.is_dir() => folder.join(format!("{name}.toml")),
         Some(file) => file.to_owned(),
-        None => PathBuf::from(format!("{name}.toml")),
+        None => unsaved(name),
     };
     may_be_board(&file)?;
     consent::may_write(&file, force)?;
@@ -406,6 +407,11 @@ fn may_be_board(file: &Path) -> Result<()> {
         bail!("{}: a board file ends in .toml", file.display());
     }
     Ok(())
+}
+
+/// How a board file that is only on a page is called, in the folder where the tool runs.
+fn unsaved(name: &str) -> PathBuf {
+    PathBuf::from(format!("{name}.toml"))
 }
 
 pub(crate) fn stem(path: &Path) -> String {

@@ -1,8 +1,51 @@
-//! Shows progress: a bar on a terminal, otherwise one line per step.
+//! Shows progress: a bar on a terminal, otherwise one line per step. A page of `ferrocnc ui` gets
+//! the same words.
 
 use ferrocnc::flash::Word;
+use ferrocnc::{pins, update};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::cell::RefCell;
 use std::io::IsTerminal;
+
+/// What is going on, in words.
+pub(crate) enum Progress {
+    /// So much of a step is done, of 1.
+    Step(&'static str, f64),
+    /// A sentence.
+    Word(String),
+}
+
+impl From<update::Event> for Progress {
+    fn from(event: update::Event) -> Self {
+        let word = match event {
+            update::Event::Step(step, part) => return Progress::Step(step, part),
+            update::Event::Word(word) => said(word),
+            update::Event::NoGolden => "warning: there is no golden image in this board's flash; if both slots fail the board needs JTAG".to_owned(),
+            update::Event::Unprotected => {
+                "warning: the board's flash does not protect its golden image".to_owned()
+            }
+        };
+        Progress::Word(word)
+    }
+}
+
+impl From<pins::Event> for Progress {
+    fn from(event: pins::Event) -> Self {
+        match event {
+            pins::Event::Step(step, part) => Progress::Step(step, part),
+            pins::Event::Word(word) => Progress::Word(said(word)),
+        }
+    }
+}
+
+/// Shows on a terminal what is going on.
+pub(crate) fn show(bar: &RefCell<Bar>, progress: Progress) {
+    let mut bar = bar.borrow_mut();
+    match progress {
+        Progress::Step(step, part) => bar.show(step, part),
+        Progress::Word(word) => bar.say(&word),
+    }
+}
 
 /// That the board falls silent, or is back.
 pub(crate) fn said(word: Word) -> String {

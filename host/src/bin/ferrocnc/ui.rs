@@ -10,7 +10,7 @@ mod api;
 mod bench;
 mod guard;
 mod live;
-mod update;
+mod stream;
 mod web;
 
 use anyhow::{Context, Result, bail};
@@ -91,7 +91,7 @@ fn pages(guard: Guard, patience: Duration) -> Router {
         .route("/describe", get(api::describe))
         .route("/set", post(api::board_set))
         .route("/key", get(api::key_show).post(api::key_order))
-        .route("/update", post(update::update).layer(large))
+        .route("/update", post(stream::update).layer(large))
         .route("/doctor", get(api::doctor))
         .route(
             "/doctor/repairs",
@@ -103,6 +103,8 @@ fn pages(guard: Guard, patience: Duration) -> Router {
         .route("/config/new", post(api::config_new))
         .route("/config/check", post(api::config_check))
         .route("/config/diff", post(api::config_diff))
+        .route("/config/apply", post(stream::config_apply))
+        .route("/config/read", get(api::config_read))
         .route("/config/pinout", post(api::config_pinout))
         .route("/config/svg", post(api::config_svg))
         .route("/config/import", post(api::config_import))

@@ -2,7 +2,7 @@
 
 use crate::discover::Where;
 use crate::images;
-use crate::progress::{Bar, said};
+use crate::progress::{Bar, Progress, show};
 use crate::set::parse_uid;
 use crate::text::{Told, tell};
 use anyhow::{Context, Result, bail};
@@ -126,7 +126,7 @@ pub(crate) fn run(arguments: &Update, as_json: bool) -> Result<()> {
         patience: Duration::from_secs(arguments.patience),
     };
     let bar = RefCell::new(Bar::new(as_json));
-    let shown = |event| show(&bar, event);
+    let shown = |event: Event| show(&bar, event.into());
     let told = match (arguments.back, file) {
         (true, Some(file)) => bail!("{}: --back takes no file", file.display()),
         (true, None) => turned_back(arguments.client(board)?, &options, &shown),
@@ -186,7 +186,7 @@ impl Wanted {
     /// `ferrocnc update`: its progress goes to `say`.
     pub(crate) fn take(&self, bytes: &[u8], say: &dyn Fn(Progress)) -> Result<Told> {
         let options = Options::default();
-        let show = |event| say(Progress::of(event));
+        let show = |event: Event| say(event.into());
         let mut client = crate::open(&self.board)?;
         match (self.back, self.file.as_str()) {
             (true, "") => turned_back(client, &options, &show),
@@ -200,36 +200,6 @@ impl Wanted {
                 updated(client, &image, &options, &show)
             }
         }
-    }
-}
-
-/// What is going on, in words.
-pub(crate) enum Progress {
-    /// So much of a step is done, of 1.
-    Step(&'static str, f64),
-    /// A sentence.
-    Word(String),
-}
-
-impl Progress {
-    fn of(event: Event) -> Self {
-        let word = match event {
-            Event::Step(step, part) => return Progress::Step(step, part),
-            Event::Word(word) => said(word),
-            Event::NoGolden => "warning: there is no golden image in this board's flash; if both slots fail the board needs JTAG".to_owned(),
-            Event::Unprotected => {
-                "warning: the board's flash does not protect its golden image".to_owned()
-            }
-        };
-        Progress::Word(word)
-    }
-}
-
-fn show(bar: &RefCell<Bar>, event: Event) {
-    let mut bar = bar.borrow_mut();
-    match Progress::of(event) {
-        Progress::Step(step, part) => bar.show(step, part),
-        Progress::Word(word) => bar.say(&word),
     }
 }
 

@@ -58,7 +58,7 @@ fn read(file: &Path) -> Result<Read, Error> {
 
 /// The same of a board file that is not written yet; what `check --json` says of a file.
 pub(crate) fn check_text(name: &str, toml: &str) -> Value {
-    let file = PathBuf::from(format!("{name}.toml"));
+    let file = super::unsaved(name);
     let read = described(&file, toml);
     verdict(&file, &read.map(|board| Read::Board(Box::new(board))))
 }

@@ -6,7 +6,7 @@ use crate::text::{Told, tell};
 use anyhow::{Result, anyhow};
 use ferrocnc_config::source::read_text;
 use serde_json::{Value, json};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use wire::board::{Blob, Kind};
 
 pub(super) fn diff(file: &Path, address: &str, as_json: bool) -> Result<()> {
@@ -15,7 +15,7 @@ pub(super) fn diff(file: &Path, address: &str, as_json: bool) -> Result<()> {
 
 /// The same of a board file that is only on a page.
 pub(crate) fn differences(name: &str, toml: &str, address: &str) -> Result<Value> {
-    let file = PathBuf::from(format!("{name}.toml"));
+    let file = super::unsaved(name);
     Ok(differ(&file, toml, address)?.json)
 }
 

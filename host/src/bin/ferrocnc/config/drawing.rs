@@ -79,6 +79,6 @@ fn platform(what: &Path) -> Result<Option<Platform>> {
 
 /// What `pinout` draws of it.
 pub(crate) fn pinout_of(name: &str, toml: &str) -> Result<Pinout> {
-    let file = PathBuf::from(format!("{name}.toml"));
+    let file = super::unsaved(name);
     Ok(Pinout::of_board(&described(&file, toml)?))
 }

@@ -4,16 +4,18 @@ use super::check::counts;
 use super::{save, stem};
 use crate::consent;
 use crate::discover::Where;
-use crate::progress::{Bar, said};
+use crate::progress::{Bar, Progress, show};
 use crate::set::parse_uid;
 use crate::text::{Told, say, tell};
 use anyhow::{Result, anyhow, bail};
 use clap::{ArgGroup, Args};
 use ferrocnc::client::Client;
+use ferrocnc::flash::PATIENCE;
 use ferrocnc::pins::{Copies, Event, Facts, PinsError, Report, remedy};
 use ferrocnc_config::pins::{Image, Stored, configuration};
 use ferrocnc_config::source::read_text;
 use ferrocnc_config::{Board, read_board_text};
+use serde::Deserialize;
 use serde_json::json;
 use std::cell::RefCell;
 use std::net::SocketAddrV4;
@@ -85,7 +87,7 @@ pub(super) fn apply(arguments: &Apply, as_json: bool) -> Result<()> {
     let wanted = read_board_text(file, &text)?;
     let client = arguments.wherever.client(board, arguments.uid)?;
     let bar = RefCell::new(Bar::new(as_json));
-    let show = |event| show(&bar, event);
+    let show = |event: Event| show(&bar, event.into());
     let patience = Duration::from_secs(arguments.patience);
     let told = applied(client, &wanted, &text, patience, &show);
     drop(bar);
@@ -146,12 +148,71 @@ fn to_json(board: &Board, report: &Report) -> serde_json::Value {
     })
 }
 
-fn show(bar: &RefCell<Bar>, event: Event) {
-    let mut bar = bar.borrow_mut();
-    match event {
-        Event::Step(step, part) => bar.show(step, part),
-        Event::Word(word) => bar.say(&said(word)),
+/// What a page wants to be applied: the text of the file is in the request.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Wanted {
+    board: String,
+    /// The file's, without its ending.
+    name: String,
+}
+
+impl Wanted {
+    /// `ferrocnc config apply`: its progress goes to `say`.
+    pub(crate) fn take(&self, text: &str, say: &dyn Fn(Progress)) -> Result<Told> {
+        let wanted = read_board_text(&super::unsaved(&self.name), text)?;
+        let client = crate::open(&self.board)?;
+        applied(client, &wanted, text, PATIENCE, &|event| say(event.into()))
     }
+}
+
+/// The file that a board has stored.
+struct Kept {
+    name: String,
+    text: String,
+    generation: u32,
+    verdict: Verdict,
+}
+
+impl Kept {
+    fn read(mut client: Client, show: &dyn Fn(Event)) -> Result<Self> {
+        let facts = Facts::read(&mut client)?;
+        let mut copies = Copies::open(client, &facts, ferrocnc::client::PATIENCE, show)?;
+        let bytes = copies.read()?;
+        let stored = Stored::new_checked(&bytes).ok_or(PinsError::Nonsense)?;
+        let description =
+            Blob::new_checked(stored.description).map_err(|error| anyhow!("{error}"))?;
+        let name = description.text(Kind::Configuration, 0).unwrap_or("");
+        Ok(Kept {
+            name: name.to_owned(),
+            text: stored.text.to_owned(),
+            generation: stored.head.generation(),
+            verdict: facts.loaded.verdict,
+        })
+    }
+
+    /// Why the board does not use it, if so.
+    fn note(&self) -> Option<String> {
+        let verdict = self.verdict;
+        (verdict != Verdict::InForce)
+            .then(|| format!("the board does not use it: {verdict}; {}", remedy(verdict)))
+    }
+
+    fn to_json(&self) -> serde_json::Value {
+        json!({
+            "configuration": self.name,
+            "generation": self.generation,
+            "in_force": self.verdict == Verdict::InForce,
+            "verdict": self.verdict.text(),
+            "note": self.note(),
+            "text": self.text,
+        })
+    }
+}
+
+/// `ferrocnc config read` of a page.
+pub(crate) fn kept(address: &str) -> Result<serde_json::Value> {
+    Ok(Kept::read(crate::open(address)?, &|_| {})?.to_json())
 }
 
 pub(super) fn read(arguments: &Read, as_json: bool) -> Result<()> {
@@ -160,41 +221,26 @@ pub(super) fn read(arguments: &Read, as_json: bool) -> Result<()> {
         consent::may_write(file, arguments.force)?;
     }
     let board = arguments.board.as_deref();
-    let mut client = arguments.wherever.client(board, arguments.uid)?;
-    let facts = Facts::read(&mut client)?;
+    let client = arguments.wherever.client(board, arguments.uid)?;
     let bar = RefCell::new(Bar::new(as_json));
-    let show = |event| show(&bar, event);
-    let bytes = Copies::open(client, &facts, ferrocnc::client::PATIENCE, &show)
-        .and_then(|mut copies| copies.read());
+    let kept = Kept::read(client, &|event| show(&bar, event.into()));
     drop(bar);
-    let bytes = bytes?;
-    let stored = Stored::new_checked(&bytes).ok_or(PinsError::Nonsense)?;
-    let verdict = facts.loaded.verdict;
-    if verdict != Verdict::InForce {
-        eprintln!("the board does not use it: {verdict}; {}", remedy(verdict));
+    let kept = kept?;
+    if let Some(note) = kept.note() {
+        eprintln!("{note}");
     }
-    let description = Blob::new_checked(stored.description).map_err(|error| anyhow!("{error}"))?;
-    let name = description.text(Kind::Configuration, 0).unwrap_or("");
     if let Some(file) = &arguments.output {
-        save(file, stored.text)?;
-        if stem(file) != name {
+        save(file, &kept.text)?;
+        if stem(file) != kept.name {
             say(&format!(
-                "  note: its name is {name}; {name}.toml would be read by the tools\n"
+                "  note: its name is {0}; {0}.toml would be read by the tools\n",
+                kept.name
             ))?;
         }
         return Ok(());
     }
     match as_json {
-        true => say(&format!(
-            "{:#}\n",
-            json!({
-                "configuration": name,
-                "generation": stored.head.generation(),
-                "in_force": verdict == Verdict::InForce,
-                "verdict": verdict.text(),
-                "text": stored.text,
-            })
-        )),
-        false => say(stored.text),
+        true => say(&format!("{:#}\n", kept.to_json())),
+        false => say(&kept.text),
     }
 }

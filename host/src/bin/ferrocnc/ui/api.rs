@@ -148,6 +148,11 @@ pub(super) async fn config_diff(Json(both): Json<TextAndBoard>) -> Answer {
     Ok(Json(found.await?))
 }
 
+/// `ferrocnc config read`.
+pub(super) async fn config_read(Query(at): Query<At>) -> Answer {
+    Ok(Json(answered(move || config::kept(&at.board)).await?))
+}
+
 /// `ferrocnc config pinout`.
 pub(super) async fn config_pinout(Json(text): Json<Text>) -> Answer {
     let drawing = answered(move || config::pinout_of(&text.name, &text.toml)).await?;

@@ -26,6 +26,7 @@ const FILES: &[(&str, &str, &str)] = files![
     "app.js": JS,
     "answers.js": JS,
     "parts.js": JS,
+    "sending.js": JS,
     "boards.js": JS,
     "settings.js": JS,
     "keys.js": JS,

@@ -25,7 +25,8 @@ export async function send(command, query, body, line) {
   const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
   let text = "";
   for (;;) {
-    const { value, done } = await reader.read();
+    // Cut off is an end, too: the last line is missing.
+    const { value, done } = await reader.read().catch(() => ({ done: true }));
     if (done) return;
     const lines = (text + value).split("\n");
     text = lines.pop();

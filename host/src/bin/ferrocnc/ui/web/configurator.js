@@ -1,13 +1,14 @@
 // Configurator: a board file as text and as the card, beside each other. Nothing is written on this
-// computer: the file is what was dropped or made here, and leaves as a download. `ferrocnc config`
-// judges, draws and imports.
+// computer: the file is what was dropped, made here or read from a board, and leaves as a download
+// or to a board. `ferrocnc config` judges, draws, imports, applies and reads.
 
 import { html, useRef, useState } from "./vendor/preact-htm.js";
 import { ask, tell, text } from "./answers.js";
 import { Card, spoken } from "./card.js";
 import { download, lineOf, show } from "./files.js";
 import { exchanged, Move, named } from "./moves.js";
-import { Field, Problem, Table, useAnswer, useStill } from "./parts.js";
+import { Asking, Field, Problem, Table, useAnswer, useStill } from "./parts.js";
+import { Sending, useSending } from "./sending.js";
 
 const COUNTS = ["stepgens", "encoders", "pwms", "inputs", "outputs"];
 /** The card that the README names first. */
@@ -16,7 +17,7 @@ const USUAL = "5a-75b-8.0";
 const ORIGINS = { ini: "lcnc", json: "litexcnc" };
 
 /** Survives a look at another page. */
-let kept = { name: "", toml: "", notes: [], saved: true };
+let kept = { name: "", toml: "", board: "", notes: [], saved: true };
 
 addEventListener("beforeunload", (event) => kept.saved || event.preventDefault());
 
@@ -49,7 +50,7 @@ export function Configurator() {
   return html`<div class=${over ? "over" : ""} onDragOver=${hover} onDragLeave=${() => setOver(false)}
     onDrop=${drop}>
     <details open=${!file.toml}>
-      <summary>New, open, import</summary>
+      <summary>New, open, import, read</summary>
       <${New} take=${take} />
       <h2>Open or import</h2>
       <p>A board file (.toml), Lcnc's conf.ini, or LiteX-CNC's JSON: choose it, or drop it anywhere
@@ -57,9 +58,10 @@ export function Configurator() {
       <label class="field"><span>File</span><input type="file" accept=".toml,.ini,.json"
         onChange=${(event) => event.target.files[0] && take(() => opened(event.target.files[0]))} />
       </label>
+      <${FromBoard} board=${file.board} put=${put} take=${take} />
     </details>
     <${Problem} error=${error} />
-    ${file.notes.length > 0 && html`<section role="status" aria-label="Notes of the import">
+    ${file.notes.length > 0 && html`<section role="status" aria-label="Notes on the file">
       <ul>${file.notes.map((note) => html`<li>${note}</li>`)}</ul></section>`}
     ${file.toml && html`<${Editor} file=${file} put=${put} />`}
   </div>`;
@@ -76,6 +78,35 @@ async function opened(file) {
     throw new Error(`${file.name}: a board file ends in .toml, Lcnc's in .ini, LiteX-CNC's in .json`);
   }
   return { name: file.name.slice(0, -".toml".length), toml: content, saved: true };
+}
+
+/** The file that a board has stored, as it was applied: `ferrocnc config read`. */
+async function stored(board) {
+  const { configuration, text, note } = await ask("config/read", { board });
+  return { name: configuration, toml: text, notes: note ? [note] : [], saved: true };
+}
+
+function FromBoard({ board, put, take }) {
+  const [isBusy, setBusy] = useState(false);
+  const at = board.trim();
+  const read = async (event) => {
+    event.preventDefault();
+    setBusy(true);
+    await take(() => stored(at));
+    setBusy(false);
+  };
+  return html`<h2>Read from a board</h2>
+    <p>The file that its pins follow, with its comments. For a board whose pins are configured.</p>
+    <form class="row" onSubmit=${read}>
+      <${Address} board=${board} put=${put} />
+      <button disabled=${isBusy}>Read from ${at || "a board"}</button>
+    </form>`;
+}
+
+/** The same board wherever the page asks for one. */
+function Address({ board, put }) {
+  return html`<${Field} label="Board" value=${board} placeholder="192.168.2.50" required
+    onInput=${(event) => put({ board: event.target.value })} />`;
 }
 
 function New({ take }) {
@@ -141,7 +172,7 @@ function Editor({ file, put }) {
     <section aria-label="The card">
       ${drawing && html`<h2>${drawing.title}</h2><p>${drawing.facts}</p>
         <${Card} drawing=${drawing} old=${verdict && !verdict.ok} chosen=${pin} choose=${choose} move=${move} />`}
-      <${Diff} name=${name} toml=${toml} isGood=${Boolean(verdict?.ok)} />
+      <${WithBoard} file=${file} put=${put} verdict=${verdict} />
     </section>
     <section aria-label="The board file">
       <div class="row">
@@ -162,29 +193,42 @@ function Editor({ file, put }) {
   </div>`;
 }
 
-/** What the image of a board has other than the file: `ferrocnc config diff`. */
-function Diff({ name, toml, isGood }) {
-  const [board, setBoard] = useState("");
+/** What a board has other than the file, or that file on it: `ferrocnc config diff` and `apply`. */
+function WithBoard({ file, put, verdict }) {
+  const { name, toml, board } = file;
+  const at = board.trim();
+  const isGood = Boolean(verdict?.ok);
   const [found, setFound] = useState();
   const [error, setError] = useState();
   const compare = async (event) => {
     event.preventDefault();
     try {
-      setFound(await tell("config/diff", { name, toml, board: board.trim() }));
+      setFound(await tell("config/diff", { name, toml, board: at }));
       setError(undefined);
     } catch (error) {
       setFound(undefined);
       setError(error.message);
     }
   };
+  const done = ({ moved }) => {
+    setFound(undefined);
+    if (moved) put({ board: moved });
+  };
+  const remedy = "apply the file again: the board has this one or the one before";
+  const [sending, give] = useSending("config/apply", { done, remedy });
   const shown = (it) => it ?? "-";
-  return html`<section class="diff" aria-labelledby="diff">
-    <h2 id="diff">Against a board</h2>
+  return html`<section class="with-board" aria-labelledby="with-board">
+    <h2 id="with-board">With a board</h2>
     <form class="row" onSubmit=${compare}>
-      <${Field} label="Board" value=${board} placeholder="192.168.2.50" required
-        onInput=${(event) => setBoard(event.target.value)} />
+      <${Address} board=${board} put=${put} />
       <button disabled=${!isGood}>Compare</button>
+      <${Asking} label=${`Apply to ${at || "a board"}`} title="Apply this file?" yes="Apply it"
+        disabled=${!isGood || !at || sending.state.busy} act=${() => give({ board: at, name }, toml)}
+        question=${() => html`<p>${verdict.name} for ${verdict.platform} to the board at ${at}, in
+          the place of the file that is there. The board restarts with these pins. One that is armed
+          or driven refuses.</p>`} />
     </form>
+    <${Sending} sending=${sending} />
     <${Problem} error=${error} />
     ${found && html`<p role="status">${found.differences.length ? `${found.differences.length} differences`
       : `${found.board} has what this file says.`}</p>

@@ -1,8 +1,11 @@
-//! `ferrocnc update` of a page: the request has the file, and the answer is told while it is done,
-//! an object per line. An update goes on if the page is closed: a slot that is written half would
+//! Commands of a page that take long: the request has the file, and the answer is told while they
+//! work, an object per line. A command goes on if the page is closed: what is written half would
 //! only have to be written again.
 
-use crate::update::{Progress, Wanted};
+use crate::progress::Progress;
+use crate::text::Told;
+use crate::{config, update};
+use anyhow::Result;
 use axum::body::{Body, Bytes};
 use axum::extract::Query;
 use axum::http::header::CONTENT_TYPE;
@@ -19,8 +22,26 @@ const WAITING: usize = 16;
 /// Between two lines of progress, as often as `watch` looks.
 const EVERY: Duration = Duration::from_millis(200);
 
+/// `ferrocnc update`.
+pub(super) async fn update(
+    Query(wanted): Query<update::Wanted>,
+    bytes: Bytes,
+) -> impl IntoResponse {
+    told(move |say| wanted.take(&bytes, say))
+}
+
+/// `ferrocnc config apply` of a board file that is only on the page.
+pub(super) async fn config_apply(
+    Query(wanted): Query<config::Applied>,
+    toml: String,
+) -> impl IntoResponse {
+    told(move |say| wanted.take(&toml, say))
+}
+
 /// Lines `{"step", "part"}`, `{"word"}`, and at the end `{"done", "text"}` or `{"error"}`.
-pub(super) async fn update(Query(wanted): Query<Wanted>, bytes: Bytes) -> impl IntoResponse {
+fn told(
+    work: impl FnOnce(&dyn Fn(Progress)) -> Result<Told> + Send + 'static,
+) -> impl IntoResponse {
     let (sender, receiver) = channel::<Result<String, Infallible>>(WAITING);
     tokio::task::spawn_blocking(move || {
         let line = |value: &Value| Ok(format!("{value}\n"));
@@ -39,7 +60,7 @@ pub(super) async fn update(Query(wanted): Query<Wanted>, bytes: Bytes) -> impl I
             };
             let _ = sender.try_send(line(&value));
         };
-        let last = match wanted.take(&bytes, &say) {
+        let last = match work(&say) {
             Ok(told) => json!({ "done": told.json, "text": told.text }),
             Err(error) => json!({ "error": format!("{error:#}") }),
         };
