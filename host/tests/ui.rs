@@ -298,7 +298,7 @@ fn a_file_that_a_page_applies_is_in_force_and_is_read_back_byte_for_byte() {
     let board = FakeBoard::card();
     let (ui, at) = (Ui::start(&[]), board.text());
     // With what a text may lose on its way.
-    let toml = format!("# Fräse\r\n\n{MILL6}\n# no newline at the end");
+    let toml = format!("# Fräse\r\n\n{MILL6}\n# the end \n\n");
     let (told, end) = ui.applies(&at, &toml);
     for step in ["erasing", "writing", "restarting"] {
         let is_step = |line: &Value| line["step"] == step && line["part"].is_number();
