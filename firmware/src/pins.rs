@@ -128,9 +128,9 @@ impl Pins {
     }
 
     /// A restart keeps the settings of the cores, and a PWM that another file's host had inverted
-    /// would rest high: with another description than the start before has left, all modes are those
-    /// of power-up. With the same one they stay, so no line changes.
-    #[cold]
+    /// would rest high: with another description than the start before left, all modes are those of
+    /// power-up. With the same one they stay, so no line changes.
+    #[cold] // Otherwise the exchange's code lies worse in the cache: 5049 clocks, not 4827.
     #[inline(never)]
     fn forget_modes<B: Board>(&self, board: &mut B, copy: u32) {
         let mut crc = [0];
