@@ -29,7 +29,7 @@ use wire::{map, words_from_bytes};
 /// 300 ms: the board is asked this long at one address, then at the other.
 const QUESTION: Duration = Duration::from_millis(300);
 /// What is left to do when the configuration is written and nothing is known of its restart.
-const AGAIN: &str = "give the command again: the second copy still holds the file of before";
+const AGAIN: &str = "give the command again: the second copy is not written yet";
 /// Bytes in front of what the CRC is of.
 const UNSUMMED: u32 = 4 * GENERATION_AT as u32;
 

@@ -274,7 +274,7 @@ impl Shop {
             self.driver.read(1_000_000);
             self.driver.write(1_000_000);
             // It asks for its session and does not wait for the answer, and a question makes the
-            // one before void: the simulator has done with this one when it answers here.
+            // one before void: a busy simulator answers here when it has done with the last one.
             std::thread::sleep(Duration::from_millis(2));
             control(self.simulator, "stats");
         }

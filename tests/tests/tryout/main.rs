@@ -305,7 +305,8 @@ fn a_terminal_that_is_closed_switches_off() {
 #[test]
 fn a_terminal_that_is_closed_switches_off_before_the_signal_comes() {
     let file = std::env::temp_dir().join(format!("ferrocnc-status-{}", std::process::id()));
-    let keeps = format!("sh -c '\"$@\"; echo $? > {}' sh", file.display());
+    let _ = std::fs::remove_file(&file);
+    let keeps = format!("sh -c '\"$@\"; echo $? > \"{}\"' sh", file.display());
     let terminal = closed(&format!("setsid --wait {keeps}"), "gone");
     let status = terminal.until("the tool has ended", || {
         let status = std::fs::read_to_string(&file).ok()?;

@@ -135,6 +135,9 @@ function New({ take }) {
     </form>`;
 }
 
+/** What is checked. */
+const whole = ({ name, toml }) => `${name}\n${toml}`;
+
 function Editor({ file, put }) {
   const { name, toml } = file;
   const [verdict, setVerdict] = useState();
@@ -144,9 +147,9 @@ function Editor({ file, put }) {
   const area = useRef();
   const check = async () => {
     const verdict = await tell("config/check", { name, toml });
-    return [verdict, verdict.ok && (await tell("config/pinout", { name, toml }))];
+    return [{ ...verdict, of: whole(file) }, verdict.ok && (await tell("config/pinout", { name, toml }))];
   };
-  useStill(check, `${name}\n${toml}`, ([verdict, drawing]) => {
+  useStill(check, whole(file), ([verdict, drawing]) => {
     setVerdict(verdict);
     if (drawing) setDrawing(drawing);
     setError(undefined);
@@ -197,7 +200,8 @@ function Editor({ file, put }) {
 function WithBoard({ file, put, verdict }) {
   const { name, toml, board } = file;
   const at = board.trim();
-  const isGood = Boolean(verdict?.ok);
+  // The verdict may still be that of the text before.
+  const isGood = Boolean(verdict?.ok) && verdict.of === whole(file);
   const [found, setFound] = useState();
   const [error, setError] = useState();
   const compare = async (event) => {
