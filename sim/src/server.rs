@@ -134,8 +134,8 @@ pub struct Server<D: Device> {
     last_exchange: Option<Instant>,
     /// Lockstep: which host made it.
     exchanger: Option<SocketAddr>,
-    /// Lockstep: what such a host has asked since, and which.
-    asked: Vec<(SocketAddr, Vec<u8>)>,
+    /// Lockstep: what such a host has asked since, when, and which.
+    asked: Vec<(Instant, SocketAddr, Vec<u8>)>,
     /// Lockstep: the board runs by itself until this sys clock.
     orphan_until: u64,
     /// Paced: since when, and from which sys clock, both clocks are compared.

@@ -13,6 +13,9 @@ const NEXT_EXCHANGE: Duration = Duration::from_millis(50);
 
 impl<D: Device> Server<D> {
     pub(super) fn lockstep(&mut self, period: u64) {
+        if self.waited() >= NEXT_EXCHANGE {
+            self.answer_asked();
+        }
         let silent = self
             .last_exchange
             .is_some_and(|at| at.elapsed() >= self.options.silence);
@@ -37,13 +40,11 @@ impl<D: Device> Server<D> {
             // A fifth of a second at most: signals are looked at in between.
             let patience = match self.asked.is_empty() {
                 true => Duration::from_millis(200),
-                false => NEXT_EXCHANGE,
+                false => NEXT_EXCHANGE.saturating_sub(self.waited()),
             };
-            let event = self.events.recv_timeout(until_silence.min(patience));
-            if event.is_err() {
-                self.answer_asked();
-            }
-            event.map_err(|e| e == RecvTimeoutError::Disconnected)
+            self.events
+                .recv_timeout(until_silence.min(patience))
+                .map_err(|e| e == RecvTimeoutError::Disconnected)
         };
         match event {
             Ok(Event::Datagram(Service::Etherbone, sender, payload)) if is_request(&payload) => {
@@ -58,7 +59,7 @@ impl<D: Device> Server<D> {
                 self.period_end = start + period;
                 self.orphan_until = 0;
                 self.post(Service::Etherbone, sender, &payload);
-                for (host, asked) in core::mem::take(&mut self.asked) {
+                for (_, host, asked) in core::mem::take(&mut self.asked) {
                     self.post(Service::Etherbone, host, &asked);
                 }
                 self.pass(self.period_end);
@@ -70,7 +71,7 @@ impl<D: Device> Server<D> {
                     && self.exchanger == Some(sender)
                     && is_read(&payload) =>
             {
-                self.asked.push((sender, payload));
+                self.asked.push((Instant::now(), sender, payload));
             }
             Ok(Event::Datagram(service, sender, payload)) => {
                 self.answer(service, sender, &payload);
@@ -90,9 +91,16 @@ impl<D: Device> Server<D> {
         while self.rig.clock() < until && !self.pass_frame(until).contains(&port) {}
     }
 
+    /// How long the first of the questions has waited, whatever else has come since.
+    fn waited(&self) -> Duration {
+        self.asked
+            .first()
+            .map_or(Duration::ZERO, |(at, ..)| at.elapsed())
+    }
+
     /// The host that asked makes no exchange.
     fn answer_asked(&mut self) {
-        for (host, asked) in core::mem::take(&mut self.asked) {
+        for (_, host, asked) in core::mem::take(&mut self.asked) {
             self.answer(Service::Etherbone, host, &asked);
         }
     }

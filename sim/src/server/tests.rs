@@ -228,6 +228,31 @@ fn lockstep_begins_while_the_board_runs() {
     thread.join().unwrap();
 }
 
+#[test]
+fn a_question_of_the_exchanging_host_is_answered_while_a_client_asks_the_control_all_the_time() {
+    let (udp, control, _, thread) = serve(Mode::Lockstep { period: 5000 });
+    let host = client(udp);
+    assert_eq!(talk(&host, &exchange(1)), exchange(1));
+    let mut stream = TcpStream::connect(control).unwrap();
+    let mut answers = BufReader::new(stream.try_clone().unwrap()).lines();
+    let asks = Arc::new(AtomicBool::new(true));
+    let asking = std::thread::spawn({
+        let asks = asks.clone();
+        move || {
+            while asks.load(Ordering::Relaxed) {
+                writeln!(stream, "pins").unwrap();
+                answers.next().unwrap().unwrap();
+            }
+            writeln!(stream, "quit").unwrap();
+        }
+    });
+    let answer = talk(&host, &question());
+    asks.store(false, Ordering::Relaxed);
+    asking.join().unwrap();
+    assert_eq!(answer, question());
+    thread.join().unwrap();
+}
+
 /// A record that reads one word.
 fn question() -> Vec<u8> {
     bytes(&[0x4e6f_1000, 0, 0x0000_0001, 0, 0x1234])
