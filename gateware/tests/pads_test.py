@@ -1,7 +1,7 @@
-"""The pads of an image alone, through the real tools: each line of the headers is packed, with a
-register for its level and one for its direction."""
+"""The pads of an image alone, through the real tools: each line of the headers is packed, has a
+register for its level and one for its direction, and powers up so that it does not drive."""
 
-import re
+import json
 import sys
 import tempfile
 from pathlib import Path
@@ -34,7 +34,18 @@ class Pads(LiteXModule):
         ecp5.BoardSoC._lines(self, platform, board, pads)
 
 
+def registers_of(top):
+    """The flip-flops of the levels and directions of all lines, as yosys has them."""
+    cells = top["cells"].values()
+    of = {cell["connections"]["Q"][0]: cell for cell in cells if cell["type"] == "TRELLIS_FF"}
+    lines = {port["bits"][0] for name, port in top["ports"].items() if name.startswith("line")}
+    pads = [cell["connections"] for cell in cells if cell["type"] == "TRELLIS_IO" and cell["connections"]["B"][0] in lines]
+    return [of[pad[pin][0]] for pad in pads for pin in "IT"]
+
+
 def pads_of(card):
+    """The registers, and the lines that have in their pad one for the level and one for the
+    direction."""
     board = PlatformImage(card, None).read()
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
@@ -44,16 +55,20 @@ def pads_of(card):
         tools.run("nextpnr-ecp5", ["--json", "top.json", "--lpf", "top.lpf", "--textcfg", "top.config", *build._device(board)], folder, "nextpnr.log")
         tools.run("ecppack", ["top.config", "top.bit"], folder, "ecppack.log")
         config = (folder / "top.config").read_text()
-    directions = len(re.findall(r"TRIMUX_TSREG IOLTO", config))
-    return len(board.lines), directions
+        registers = registers_of(json.loads((folder / "top.json").read_text())["modules"]["top"])
+    return registers, config.count("DATAMUX_OREG IOLDO"), config.count("TRIMUX_TSREG IOLTO")
 
 
 def main():
     for card in CARDS:
-        lines, directions = pads_of(card)
-        # The tools' database has no register for one pad of the 5A-75B 7.0: it is in the fabric.
-        assert (lines, directions) == (56, 55 if card == "5a-75b-7.0" else 56), (card, lines, directions)
-        print(f"PASS {card}: {lines} lines are packed, {directions} with registers in their pad")
+        registers, levels, directions = pads_of(card)
+        # The tools' database has no registers for one pad of the 5A-75B 7.0: they are in the
+        # fabric.
+        lines = 56 - (card == "5a-75b-7.0")
+        assert (len(registers), levels, directions) == (112, lines, lines), (card, len(registers), levels, directions)
+        # Not driven, with the level of the pull-up.
+        assert all(register["parameters"]["REGSET"] == "SET" for register in registers), card
+        print(f"PASS {card}: 56 lines are packed, {lines} with their registers in the pad, and power up undriven")
 
 
 if __name__ == "__main__":
