@@ -10,6 +10,7 @@ the driver installed, and nothing else of LinuxCNC running.
 """
 
 import argparse
+import importlib.util
 import json
 import math
 import os
@@ -20,7 +21,7 @@ import time
 import tomllib
 from pathlib import Path
 
-from simulator import RELEASE, Simulator
+from simulator import RELEASE, ROOT, Simulator
 
 # A pin's place among the lines of its header; 3 is ground. The shared lines come last.
 OWN = (0, 1, 2, 4, 5, 6)
@@ -36,6 +37,8 @@ EXCHANGES = 3
 STEPS_PER_S = 20_000
 # Board time that `config apply` may take until its file drives the lines.
 APPLIED_S = 3.0
+# Of this computer's time, for one exchange.
+PATIENCE_S = 120
 # Shorter than LinuxCNC's: each is simulated.
 PERIOD_NS = 200_000
 
@@ -60,13 +63,16 @@ def apply(simulator, tool, file):
     # Its patience is in this computer's time, of which a simulated board needs much.
     command = [tool, "--json", "config", "apply", "--patience", "900", simulator.board, file]
     told = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    while told.poll() is None:
-        pins = simulator.ask("pins")
-        if int(pins["drives"], 16) != wanted:
-            driven = None
-        elif driven is None:
-            driven = int(pins["clock"])
-        time.sleep(0.01)
+    try:
+        while told.poll() is None:
+            pins = simulator.ask("pins")
+            if int(pins["drives"], 16) != wanted:
+                driven = None
+            elif driven is None:
+                driven = int(pins["clock"])
+            time.sleep(0.01)
+    finally:
+        told.kill()  # if the simulator has ended before it
     said = told.stdout.read()
     if told.returncode:
         sys.exit(f"ferrocnc config apply {file.name} failed: {said}")
@@ -105,6 +111,14 @@ def in_words(told):
 def too_slow(told):
     if told["driven_s"] >= APPLIED_S:
         yield f"{told['file']}: its lines are driven after {told['driven_s']:.3f} s of board time, not within {APPLIED_S} s"
+
+
+def _mill():
+    """The program that runs the mill, which has the name of one beside this one."""
+    spec = importlib.util.spec_from_file_location("mill", ROOT / "host/examples/mill/run.py")
+    mill = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(mill)
+    return mill
 
 
 class Hal:
@@ -170,9 +184,15 @@ class Check:
 
     def pass_exchanges(self):
         """Lets the board's time pass; what its pads do then."""
-        until = int(self.simulator.ask("stats")["answered"]) + EXCHANGES
-        while int(self.simulator.ask("stats")["answered"]) < until:
+        answered = int(self.simulator.ask("stats")["answered"])
+        until, end = answered + EXCHANGES, time.monotonic() + PATIENCE_S
+        while answered < until:
+            if time.monotonic() > end:
+                sys.exit(f"the driver has had no answer for {PATIENCE_S} s; has LinuxCNC's rtapi_app ended?")
             time.sleep(0.02)
+            before, answered = answered, int(self.simulator.ask("stats")["answered"])
+            if answered > before:
+                end = time.monotonic() + PATIENCE_S
         return self.simulator.ask("pins")
 
     def expect(self, what, found, wanted):
@@ -246,6 +266,7 @@ def main():
     parser.add_argument("--simulator", type=Path, default=RELEASE)
     parser.add_argument("--json", type=Path, help="add what was measured to this report")
     options = parser.parse_args()
+    _mill().sweep()  # refuses if there is a session that is not ours
     since = time.monotonic()
     board = tomllib.loads(options.file.read_text())
     card = ("--flash", options.out / "card.flash", "--wired", options.wired or options.file, "--mode", "free")

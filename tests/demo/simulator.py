@@ -30,12 +30,19 @@ class Simulator:
 
     def __enter__(self):
         self.process = subprocess.Popen(self.command, stdout=subprocess.PIPE, text=True)
+        try:
+            self._connect()
+        except BaseException:
+            self.process.kill()
+            raise
+        return self
+
+    def _connect(self):
         self.ready = self.process.stdout.readline().strip()
         if not self.ready.startswith("ready"):
             sys.exit(f"the simulated board did not start: {self.ready or 'it said nothing'}")
         self.clock_hz = int(self.ready.split("sys_clk_hz=")[1].split()[0])
         self.control = socket.create_connection(("127.0.0.1", self.port)).makefile("rw")
-        return self
 
     def __exit__(self, *_):
         self.process.send_signal(signal.SIGTERM)
