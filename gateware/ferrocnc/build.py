@@ -660,7 +660,7 @@ def size_tables(cores, boards):
     mux = {key: cores["pinmux_out"][key] + cores["pinmux_in"][key] for _, key in _COLUMNS}
     yield row("of the image, its multiplexer alone", mux)
     sets = rm.MAX_STEPGEN
-    yield row("of max, per step generator + encoder + PWM + 2 inputs + 2 outputs, banks included",
+    yield row("of max, per step generator + encoder + PWM + 4 inputs + 4 outputs, banks included",
               {key: round((boards["max"][key] - boards["none"][key]) / sets) for _, key in _COLUMNS})
     for name, c in PEERS.items():
         yield row(name, c) if c else f"| {name} | " + " | ".join("not measured" for _ in _COLUMNS) + " |"
