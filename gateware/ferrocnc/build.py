@@ -590,14 +590,7 @@ def bench(root, out, report=None, seed=None, document=None):
         tools.run("yosys", ["-q", "-p", script], folder, "yosys.log", [ferro.RTL.resolve()])
         cores[source.stem] = netlist.trim(folder / f"{TOP}.json") | _packed(folder, ("--25k", "--package", "CABGA256", "--speed", "6"))
     for name in ("none", "mill6", "max", IMAGE):
-        if name == IMAGE:
-            board = PlatformImage(name, None).read()
-        else:
-            board = read_board(root / "boards" / f"{'max' if name == 'none' else name}.toml")
-        if name == "none":
-            for kind in ("stepgen", "encoder", "pwm", "gpio_in", "gpio_out"):
-                setattr(board, kind, [])
-        folder = out / name
+        board, folder = _measured(root, name), out / name
         _bare_synthesis(board, name in ("mill6", IMAGE), folder)
         boards[name] = netlist.trim(folder / f"{TOP}.json") | _packed(folder, ("--lpf", f"{TOP}.lpf", *_device(board)))
         if seed is not None and name != "none":
@@ -611,6 +604,17 @@ def bench(root, out, report=None, seed=None, document=None):
         Path(report).parent.mkdir(parents=True, exist_ok=True)
         Path(report).write_text(json.dumps({"boards": boards, "cores": cores, "before": BEFORE, "peers": PEERS, "available": AVAILABLE}, indent=2) + "\n")
     return 0
+
+
+def _measured(root, name):
+    """The board of a row: `none` is `max` without its channels."""
+    if name == IMAGE:
+        return PlatformImage(name, None).read()
+    board = read_board(root / "boards" / f"{'max' if name == 'none' else name}.toml")
+    if name == "none":
+        for kind in ("stepgen", "encoder", "pwm", "gpio_in", "gpio_out"):
+            setattr(board, kind, [])
+    return board
 
 
 _SIZE_DOC = """<!-- Written by `cargo xtask bench gateware`; do not edit. -->
